@@ -70,39 +70,42 @@ class PluginParams {
 };
 
 namespace plugin_detail {
-// Unqualified calls from here see only argument-dependent candidates: the plugin's own describe() and validate().
-template <class Params>
-void call_describe(ParamVisitor& visit, Params& params) {
-  describe(visit, params);
-}
-template <class Params>
-void call_validate(const Params& params, Diagnostics& diagnostics) {
-  if constexpr (requires { validate(params, diagnostics); }) validate(params, diagnostics);
-}
-template <class Params>
-void call_choose(Params& params, const EncoderBuild& build, std::vector<std::string>& chosen) {
+// Unqualified calls from here see only argument-dependent candidates: the plugin's own functions.
+inline constexpr auto call_describe = [](ParamVisitor& visit, auto& params) {
+  if constexpr (requires { params.describe(visit); }) {
+    params.describe(visit);
+  } else {
+    describe(visit, params);
+  }
+};
+inline constexpr auto call_validate = [](const auto& params, Diagnostics& diagnostics) {
+  if constexpr (requires { params.validate(diagnostics); }) {
+    params.validate(diagnostics);
+  } else if constexpr (requires { validate(params, diagnostics); }) {
+    validate(params, diagnostics);
+  }
+};
+inline constexpr auto call_choose = [](auto& params, const EncoderBuild& build, std::vector<std::string>& chosen) {
   if constexpr (requires { choose(params, build, chosen); }) choose(params, build, chosen);
-}
-template <class Params>
-void call_choose_for(Params& params, Device device, std::vector<std::string>& chosen) {
+};
+inline constexpr auto call_choose_for = [](auto& params, Device device, std::vector<std::string>& chosen) {
   if constexpr (requires { choose_for(params, device, chosen); }) choose_for(params, device, chosen);
-}
-template <class Params>
-std::string call_recognise(const std::string& path, Params& params) {
+};
+inline constexpr auto call_recognise = [](const std::string& path, auto& params) -> std::string {
   if constexpr (requires { recognise(path, params); }) return recognise(path, params);
   return {};
-}
-template <class Params>
-std::string call_preparation(const std::string& folder, const Params& params) {
+};
+inline constexpr auto call_preparation = [](const std::string& folder, const auto& params) -> std::string {
   if constexpr (requires { preparation(folder, params); }) return preparation(folder, params);
   return {};
-}
+};
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` in its namespace, and may have `void validate(const Params&,
 /// Diagnostics&)` and `void choose_for(Params&, Device, std::vector<std::string>&)`; an encoder's may have `void
 /// choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's `std::string recognise(const
-/// std::string& path, Params&)` and `std::string preparation(const std::string& folder, const Params&)`.
+/// std::string& path, Params&)` and `std::string preparation(const std::string& folder, const Params&)`. Or it is a
+/// plugin whose objects hold their parameters and declare them by members describe() and validate().
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -124,14 +127,8 @@ class ParamsOf final : public PluginParams {
   Params value;
 };
 
-/// Of a plugin whose objects hold their parameters and declare them by members describe() and validate().
-template <class Item>
-class ParamsInside final : public PluginParams {
- public:
-  void describe(ParamVisitor& visit) override { value.describe(visit); }
-  void validate(Diagnostics& diagnostics) const override { value.validate(diagnostics); }
-  Item value;
-};
+template <class Made, class Build>
+using MakerOf = std::unique_ptr<Made>(const PluginParams&, const Build&, const KernelTables&);
 
 struct PluginEntry {
   PluginKind kind = PluginKind::encoder;
@@ -141,7 +138,7 @@ struct PluginEntry {
   std::function<std::unique_ptr<PluginParams>()> new_params;
   // Exactly the maker of the entry's kind is set. Real = float is what runs, double is the oracle.
   template <class Made, class Build>
-  using Maker = std::function<std::unique_ptr<Made>(const PluginParams&, const Build&, const KernelTables&)>;
+  using Maker = std::function<MakerOf<Made, Build>>;
   Maker<Encoder<float>, EncoderBuild> encoder32;
   Maker<Encoder<double>, EncoderBuild> encoder64;
   Maker<Field<float>, FieldBuild> field32;
@@ -172,46 +169,38 @@ class Registry {
   /// KernelTables&).
   template <template <class> class Impl, class Params>
   void add_encoder(std::string name, std::string summary) {
-    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::encoder, std::move(name), std::move(summary));
-    e.encoder32 = make<Encoder<float>, Impl<float>, Params, EncoderBuild>;
-    e.encoder64 = make<Encoder<double>, Impl<double>, Params, EncoderBuild>;
-    add(std::move(e));
+    PluginEntry e = entry_of<Params>(PluginKind::encoder, std::move(name), std::move(summary));
+    add_real<Impl, Params>(std::move(e), &PluginEntry::encoder32, &PluginEntry::encoder64);
   }
   /// The same for fields. A field of plugin/mlp/field.h whose function bf16 would spoil says
   /// `static constexpr bool kInBf16 = false`.
   template <template <class> class Impl, class Params>
   void add_field(std::string name, std::string summary) {
-    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::field, std::move(name), std::move(summary));
-    e.field32 = make<Field<float>, Impl<float>, Params, FieldBuild>;
-    e.field64 = make<Field<double>, Impl<double>, Params, FieldBuild>;
+    PluginEntry e = entry_of<Params>(PluginKind::field, std::move(name), std::move(summary));
     if constexpr (std::is_base_of_v<MlpField<float>, Impl<float>>) {
       bool in_bf16 = true;
       if constexpr (requires { Impl<float>::kInBf16; }) in_bf16 = Impl<float>::kInBf16;
       kernels_.compose("field '" + e.name + "'", kMlpOwner, in_bf16);
     }
-    add(std::move(e));
+    add_real<Impl, Params>(std::move(e), &PluginEntry::field32, &PluginEntry::field64);
   }
   template <template <class> class Impl, class Params>
   void add_sampler(std::string name, std::string summary) {
-    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::sampler, std::move(name), std::move(summary));
-    e.sampler32 = make<Sampler<float>, Impl<float>, Params, SamplerBuild>;
-    e.sampler64 = make<Sampler<double>, Impl<double>, Params, SamplerBuild>;
-    add(std::move(e));
+    PluginEntry e = entry_of<Params>(PluginKind::sampler, std::move(name), std::move(summary));
+    add_real<Impl, Params>(std::move(e), &PluginEntry::sampler32, &PluginEntry::sampler64);
   }
   /// The same for heads. One that is a OneLayerHead has kernels where that has some.
   template <template <class> class Impl, class Params>
   void add_head(std::string name, std::string summary) {
-    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::head, std::move(name), std::move(summary));
-    e.head32 = make<Head<float>, Impl<float>, Params, HeadBuild>;
-    e.head64 = make<Head<double>, Impl<double>, Params, HeadBuild>;
+    PluginEntry e = entry_of<Params>(PluginKind::head, std::move(name), std::move(summary));
     if constexpr (std::is_base_of_v<OneLayerHead<float>, Impl<float>>)
       kernels_.compose("head '" + e.name + "'", kHeadOwner, false);
-    add(std::move(e));
+    add_real<Impl, Params>(std::move(e), &PluginEntry::head32, &PluginEntry::head64);
   }
   /// Impl(const Params&, const DatasetBuild&).
   template <class Impl, class Params>
   void add_dataset(std::string name, std::string summary, bool reads_packs = false) {
-    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::dataset, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<Params>(PluginKind::dataset, std::move(name), std::move(summary));
     e.reads_packs = reads_packs;
     e.dataset = [](const PluginParams& p, const DatasetBuild& build) -> std::unique_ptr<Dataset> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build);
@@ -223,7 +212,7 @@ class Registry {
   template <class Impl>
   void add_loss(std::string name, std::string summary, std::string saves) {
     using Params = typename Impl::Params;
-    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::loss, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<Params>(PluginKind::loss, std::move(name), std::move(summary));
     e.saves = std::move(saves);
     e.loss = [](const PluginParams& p) -> std::unique_ptr<Loss> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value);
@@ -234,14 +223,14 @@ class Registry {
   /// Impl is derived from LabelReader (labels/label_files.h).
   template <class Impl>
   void add_label_reader(std::string name, std::string summary) {
-    PluginEntry e = entry_of<ParamsInside<Impl>>(PluginKind::label_reader, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<Impl>(PluginKind::label_reader, std::move(name), std::move(summary));
     e.label_reader = copy<LabelReader, Impl>;
     add(std::move(e));
   }
   /// Impl is derived from Degradation (labels/label_files.h).
   template <class Impl>
   void add_degradation(std::string name, std::string summary) {
-    PluginEntry e = entry_of<ParamsInside<Impl>>(PluginKind::degradation, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<Impl>(PluginKind::degradation, std::move(name), std::move(summary));
     e.degradation = copy<Degradation, Impl>;
     add(std::move(e));
   }
@@ -249,7 +238,7 @@ class Registry {
   /// Impl is derived from GroupingOf<Impl> (plugin/grouping.h). `usual`: taken where none is named.
   template <class Impl>
   void add_grouping(std::string name, std::string summary, bool usual = false) {
-    PluginEntry e = entry_of<ParamsInside<Impl>>(PluginKind::grouping, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<Impl>(PluginKind::grouping, std::move(name), std::move(summary));
     e.usual = usual;
     e.grouping = copy<Grouping, Impl>;
     add(std::move(e));
@@ -278,23 +267,29 @@ class Registry {
   void set_current_module(std::string module) { current_module_ = std::move(module); }
 
  private:
-  /// Holder: of the parameters.
-  template <class Holder>
+  template <class Params>
   static PluginEntry entry_of(PluginKind kind, std::string name, std::string summary) {
     PluginEntry e;
     e.kind = kind;
     e.name = std::move(name);
     e.summary = std::move(summary);
-    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<Holder>()); };
+    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<Params>>()); };
     return e;
   }
   template <class Base, class Impl>
   static std::unique_ptr<Base> copy(const PluginParams& p) {
-    return std::make_unique<Impl>(static_cast<const ParamsInside<Impl>&>(p).value);
+    return std::make_unique<Impl>(static_cast<const ParamsOf<Impl>&>(p).value);
   }
   template <class Base, class Impl, class Params, class Build>
   static std::unique_ptr<Base> make(const PluginParams& p, const Build& build, const KernelTables& kernels) {
     return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build, kernels);
+  }
+  template <template <class> class Impl, class Params, class Single, class Twin, class Build>
+  void add_real(PluginEntry e, std::function<MakerOf<Single, Build>> PluginEntry::*in_float,
+                std::function<MakerOf<Twin, Build>> PluginEntry::*in_double) {
+    e.*in_float = make<Single, Impl<float>, Params, Build>;
+    e.*in_double = make<Twin, Impl<double>, Params, Build>;
+    add(std::move(e));
   }
   std::map<std::pair<PluginKind, std::string>, PluginEntry> entries_;
   KernelTables kernels_;
