@@ -31,11 +31,41 @@ std::vector<Real> random_values(std::int64_t count, std::uint64_t seed) {
 template <class Real>
 using Matrix = Eigen::Matrix<Real, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 template <class Real>
-using Mapped = Eigen::Map<const Matrix<Real>, 0, Eigen::OuterStride<>>;
+using Mapped = Eigen::Map<const Matrix<Real>, 0, Eigen::Stride<Eigen::Dynamic, Eigen::Dynamic>>;
 
 template <class Real>
-Mapped<Real> mapped(const Real* data, std::int64_t rows, std::int64_t cols, std::int64_t stride) {
-  return Mapped<Real>(data, rows, cols, Eigen::OuterStride<>(stride));
+Mapped<Real> mapped(const Real* data, std::int64_t rows, std::int64_t cols, std::int64_t row, std::int64_t col = 1) {
+  return Mapped<Real>(data, rows, cols, {row, col});
+}
+
+double number(double value) { return value; }
+double number(Bf16 value) {
+  return static_cast<double>(std::bit_cast<float>(static_cast<std::uint32_t>(value.bits) << 16));
+}
+/// The numbers of a view.
+template <class T>
+Matrix<double> dense(View<T> view) {
+  return Matrix<double>::NullaryExpr(view.rows, view.cols, [&](std::int64_t r, std::int64_t c) {
+    return number(view(r, static_cast<std::int32_t>(c)));
+  });
+}
+
+/// The first element that is farther from the wanted one than its tolerance, or is no number; "" where none is.
+template <class Got, class Want, class Tolerance>
+std::string far_off(const Got& got, const Want& want, const Tolerance& tolerance) {
+  for (std::int64_t i = 0; i < want.rows(); ++i) {
+    for (std::int64_t j = 0; j < want.cols(); ++j) {
+      const auto is = static_cast<double>(got(i, j)), should = static_cast<double>(want(i, j));
+      if (!(std::abs(is - should) <= static_cast<double>(tolerance(i, j))))
+        return std::to_string(i) + ", " + std::to_string(j) + ": " + std::to_string(is) + " for " +
+               std::to_string(should);
+    }
+  }
+  return "";
+}
+template <class Got, class Want>
+std::string far_off(const Got& got, const Want& want, double tolerance) {
+  return far_off(got, want, Matrix<double>::Constant(want.rows(), want.cols(), tolerance));
 }
 
 enum class Start { zero, accumulate, bias, row_term };
@@ -72,20 +102,13 @@ TYPED_TEST(GemmTest, MatchesEigenForEveryStrideStartAndTail) {
           row_of[i] = static_cast<std::int32_t>(i * 4 / (row_of.size() + 1));
         Matrix<Real> expected = Matrix<Real>::Zero(s.m, s.n);
         for (std::int64_t i = 0; i < s.m; ++i) {
-          for (std::int64_t j = 0; j < s.n; ++j) {
-            const auto at = static_cast<std::size_t>(i * c_row + j);
-            c[at] = static_cast<Real>(0.01) * static_cast<Real>(i - j);
-            const std::int64_t ray = row_of[i];
-            if (start == Start::accumulate) expected(i, j) = c[at];
-            if (start == Start::bias) expected(i, j) = extra[j];
-            if (start == Start::row_term) expected(i, j) = extra[ray * s.n + j];
-          }
+          for (std::int64_t j = 0; j < s.n; ++j) c[i * c_row + j] = static_cast<Real>(0.01) * static_cast<Real>(i - j);
+          const auto from = mapped(extra.data(), 4, s.n, s.n);
+          if (start == Start::accumulate) expected.row(i) = mapped(c.data(), s.m, s.n, c_row).row(i);
+          if (start == Start::bias) expected.row(i) = from.row(0);
+          if (start == Start::row_term) expected.row(i) = from.row(row_of[i]);
         }
-        Matrix<Real> a_dense(s.m, s.k);
-        for (std::int64_t i = 0; i < s.m; ++i) {
-          for (std::int64_t k = 0; k < s.k; ++k) a_dense(i, k) = a[i * a_row + k * a_col];
-        }
-        if (s.k > 0) expected += a_dense * mapped(b.data(), s.k, s.n, b_row);
+        if (s.k > 0) expected += mapped(a.data(), s.m, s.k, a_row, a_col) * mapped(b.data(), s.k, s.n, b_row);
         const bool relu = start == Start::bias;
         if (relu) expected = expected.cwiseMax(Real(0));
         Gemm<Real> g{.m = s.m, .n = s.n, .k = s.k, .a = a.data(), .a_row = a_row, .a_col = a_col};
@@ -99,12 +122,9 @@ TYPED_TEST(GemmTest, MatchesEigenForEveryStrideStartAndTail) {
         }
         gemm(g);
         const double tolerance = 4 * std::numeric_limits<Real>::epsilon() * (1 + static_cast<double>(s.k));
-        for (std::int64_t i = 0; i < s.m; ++i) {
-          for (std::int64_t j = 0; j < s.n; ++j)
-            ASSERT_NEAR(c[i * c_row + j], expected(i, j), tolerance)
-                << "m " << s.m << " n " << s.n << " k " << s.k << " layout " << layout << " at " << i << ", " << j;
-          for (std::int64_t j = s.n; j < c_row; ++j) ASSERT_EQ(c[i * c_row + j], kGuard);
-        }
+        ASSERT_EQ(far_off(mapped(c.data(), s.m, s.n, c_row), expected, tolerance), "")
+            << "m " << s.m << " n " << s.n << " k " << s.k << " layout " << layout;
+        ASSERT_TRUE((mapped(c.data() + s.n, s.m, c_row - s.n, c_row).array() == kGuard).all());
         ASSERT_EQ(c.back(), kGuard);
         ++cases;
       }
@@ -179,109 +199,94 @@ TYPED_TEST(GemmTest, RefusesTwoStartsAndShapesThatDoNotFit) {
 
 // Layers: values by hand-written loops, gradients by central differences, ray terms, elementary functions.
 
-struct Owned {
-  Owned(std::int64_t rows, std::int32_t cols, std::uint64_t seed = 0) : values(static_cast<std::size_t>(rows * cols)) {
-    view = View<double>(values.data(), rows, cols);
-    if (seed == 0) return;
-    for (std::size_t i = 0; i < values.size(); ++i) values[i] = 2.0 * uniform01({seed, 0, 2}, i) - 1.0;
-  }
-  View<const double> read() const { return view; }
-  std::vector<double> values;
-  View<double> view;
-};
-
-double dot_all(View<const double> a, View<const double> b) {
-  double sum = 0;
-  for (std::int64_t r = 0; r < a.rows; ++r) {
-    for (std::int32_t c = 0; c < a.cols; ++c) sum += a(r, c) * b(r, c);
-  }
-  return sum;
+using Owned = Matrix<double>;
+Owned zeros(std::int64_t rows, std::int64_t cols) { return Owned::Zero(rows, cols); }
+Owned random(std::int64_t rows, std::int64_t cols, std::uint64_t seed) {
+  return mapped(random_values<double>(rows * cols, seed).data(), rows, cols, cols);
 }
+View<double> view(Owned& of) { return {of.data(), of.rows(), static_cast<std::int32_t>(of.cols())}; }
+View<const double> read(const Owned& of) { return {of.data(), of.rows(), static_cast<std::int32_t>(of.cols())}; }
 
-/// Largest difference between `gradient` and central differences of `loss` over the elements of `values`.
+/// The gradient of `loss` by central differences over the elements of `values`.
 template <class Loss>
-double worst_difference(std::vector<double>& values, View<const double> gradient, Loss loss) {
-  double worst = 0;
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    const double kept = values[i], step = 1e-6;
-    values[i] = kept + step;
+Owned differences(Owned& values, Loss loss) {
+  constexpr double kStep = 1e-6;
+  Owned gradient = zeros(values.rows(), values.cols());
+  for (std::int64_t i = 0; i < values.size(); ++i) {
+    double& value = values.data()[i];
+    const double kept = value;
+    value = kept + kStep;
     const double up = loss();
-    values[i] = kept - step;
-    const double down = loss();
-    values[i] = kept;
-    worst = std::max(worst, std::abs((up - down) / (2 * step) - gradient.data[i]));
+    value = kept - kStep;
+    gradient.data()[i] = (up - loss()) / (2 * kStep);
+    value = kept;
   }
-  return worst;
+  return gradient;
 }
 
 /// y = x W + bias, and the ReLU.
-Layer<double> layer_of(const Owned& x, const Owned& w, const Owned& bias, bool relu, const Owned& y) {
-  return {.x = x.read(), .weight = w.read(), .start = bias.read(), .relu = relu, .y = y.view};
+Layer<double> layer_of(const Owned& x, const Owned& w, const Owned& bias, bool relu, Owned& y) {
+  return {.x = read(x), .weight = read(w), .start = read(bias), .relu = relu, .y = view(y)};
 }
 
 TEST(Layers, GradientsMatchCentralDifferences) {
   for (const bool relu : {false, true}) {
-    Owned x(9, 6, 4), w(6, 5, 5), bias(1, 5, 6), y(9, 5), weight_t(5, 6), seed(9, 5, 7);
+    Owned x = random(9, 6, 4), w = random(6, 5, 5), bias = random(1, 5, 6), y = zeros(9, 5), weight_t = zeros(5, 6);
+    const Owned seed = random(9, 5, 7);
     const auto loss = [&] {
       apply(layer_of(x, w, bias, relu, y));
-      return dot_all(y.read(), seed.read());
+      return y.cwiseProduct(seed).sum();
     };
     loss();
-    transpose(w.read(), weight_t.view);
-    Owned dz(9, 5), dx(9, 6), dw(6, 5), db(1, 5);
-    dz.values = seed.values;
-    if (relu) relu_backward(y.read(), dz.view);
-    Layer<double> back{.x = dz.read(), .weight = weight_t.read(), .exact = dx.view};
+    transpose(read(w), view(weight_t));
+    Owned dz = seed, dx = zeros(9, 6), dw = zeros(6, 5), db = zeros(1, 5);
+    if (relu) relu_backward(read(y), view(dz));
+    Layer<double> back{.x = read(dz), .weight = read(weight_t), .exact = view(dx)};
     apply(back);
-    weight_gradient(x.read(), dz.read(), dw.view, db.view);
-    EXPECT_LT(worst_difference(x.values, dx.read(), loss), 1e-8);
-    EXPECT_LT(worst_difference(w.values, dw.read(), loss), 1e-8);
-    EXPECT_LT(worst_difference(bias.values, db.read(), loss), 1e-8);
+    weight_gradient(read(x), read(dz), view(dw), view(db));
+    EXPECT_EQ(far_off(dx, differences(x, loss), 1e-8), "");
+    EXPECT_EQ(far_off(dw, differences(w, loss), 1e-8), "");
+    EXPECT_EQ(far_off(db, differences(bias, loss), 1e-8), "");
     // Gradients of parameters add up; activations are assigned unless the layer starts from them.
-    const auto once_w = dw.values, once_x = dx.values;
-    back.start = dx.read();
+    const Owned twice_w = 2 * dw, twice_x = 2 * dx;
+    back.start = read(dx);
     apply(back);
-    weight_gradient(x.read(), dz.read(), dw.view, db.view);
-    for (std::size_t i = 0; i < once_w.size(); ++i) EXPECT_NEAR(dw.values[i], 2 * once_w[i], 1e-12);
-    for (std::size_t i = 0; i < once_x.size(); ++i) EXPECT_NEAR(dx.values[i], 2 * once_x[i], 1e-12);
+    weight_gradient(read(x), read(dz), view(dw), view(db));
+    EXPECT_EQ(far_off(dw, twice_w, 1e-12), "");
+    EXPECT_EQ(far_off(dx, twice_x, 1e-12), "");
   }
 }
 
 TEST(Layers, RayTermEqualsConcatenatedInputWithGradients) {
-  const std::int64_t samples = 11, rays = 4;
   const std::vector<std::int32_t> ray_of{0, 0, 0, 1, 1, 3, 3, 3, 3, 3, 3};  // ray 2 has no sample
+  const std::int64_t samples = std::ssize(ray_of), rays = 4;
   const View<const std::int32_t> ray_view(ray_of.data(), samples, 1);
-  Owned x(samples, 4, 8), w(4, 6, 9), term(rays, 6, 10), y(samples, 6), seed(samples, 6, 11);
+  Owned x = random(samples, 4, 8), w = random(4, 6, 9), term = random(rays, 6, 10), y = zeros(samples, 6);
+  const Owned seed = random(samples, 6, 11);
   const auto loss = [&] {
     Layer<double> layer = layer_of(x, w, term, true, y);
     layer.row_of = ray_view;
     apply(layer);
-    return dot_all(y.read(), seed.read());
+    return y.cwiseProduct(seed).sum();
   };
   loss();
-  for (std::int64_t m = 0; m < samples; ++m) {
-    for (int n = 0; n < 6; ++n) {
-      double sum = term.view(ray_of[m], n);
-      for (int k = 0; k < 4; ++k) sum += x.view(m, k) * w.view(k, n);
-      EXPECT_NEAR(y.view(m, n), std::max(sum, 0.0), 1e-14);
-    }
-  }
-  Owned dz(samples, 6), d_term(rays, 6);
-  dz.values = seed.values;
-  relu_backward(y.read(), dz.view);
-  fill(d_term.view, std::numeric_limits<double>::quiet_NaN());
-  per_ray_sum(dz.read(), ray_view, d_term.view);
-  EXPECT_LT(worst_difference(term.values, d_term.read(), loss), 1e-8);
-  for (int n = 0; n < 6; ++n) EXPECT_EQ(d_term.view(2, n), 0.0);
+  Owned sums = x * w;
+  for (std::int64_t m = 0; m < samples; ++m) sums.row(m) += term.row(ray_of[m]);
+  EXPECT_EQ(far_off(y, sums.cwiseMax(0.0), 1e-14), "");
+  Owned dz = seed, d_term = Owned::Constant(rays, 6, std::numeric_limits<double>::quiet_NaN());
+  relu_backward(read(y), view(dz));
+  per_ray_sum(read(dz), ray_view, view(d_term));
+  EXPECT_EQ(far_off(d_term, differences(term, loss), 1e-8), "");
+  EXPECT_EQ(d_term.row(2), zeros(1, 6));
 }
 
 TEST(Layers, RefuseShapesThatDoNotFit) {
-  const Owned x(2, 3), w(3, 2), wrong(4, 2), bias(1, 2), y(2, 2), few(3, 2);
+  Owned x = zeros(2, 3), w = zeros(3, 2), wrong = zeros(4, 2), bias = zeros(1, 2), y = zeros(2, 2), few = zeros(3, 2);
   const Layer<double> good = layer_of(x, w, bias, false, y);
   EXPECT_NO_THROW(apply(good));
-  const auto refused = [&](void (*spoil)(Layer<double>&, View<double>), const Owned& with) {
+  const auto refused = [&](void (*spoil)(Layer<double>&, View<double>), Owned& with) {
     Layer<double> layer = good;
-    spoil(layer, with.view);
+    spoil(layer, view(with));
     EXPECT_THROW(apply(layer), std::exception);
   };
   refused([](Layer<double>& l, View<double> v) { l.weight = v; }, wrong);
@@ -289,7 +294,7 @@ TEST(Layers, RefuseShapesThatDoNotFit) {
   refused([](Layer<double>& l, View<double> v) { l.mask = v; }, few);
   refused([](Layer<double>& l, View<double> v) { l.exact = v; }, y);
   refused([](Layer<double>& l, View<double>) { l.y = {}; }, y);
-  EXPECT_THROW(weight_gradient(x.read(), few.read(), w.view, bias.view), std::exception);
+  EXPECT_THROW(weight_gradient(read(x), read(few), view(w), view(bias)), std::exception);
 }
 
 TEST(MathFunctions, AnElementDoesNotDependOnItsPlace) {
@@ -358,12 +363,7 @@ class Rows {
   View<Bf16> view_;
 };
 
-float wide(Bf16 value) {
-  const std::uint32_t bits = static_cast<std::uint32_t>(value.bits) << 16;
-  float f;
-  std::memcpy(&f, &bits, sizeof f);
-  return f;
-}
+float wide(Bf16 value) { return static_cast<float>(number(value)); }
 
 /// Random rows that bf16 holds exactly.
 Rows random_rows(std::int64_t rows, std::int32_t cols, std::uint64_t seed) {
@@ -412,11 +412,10 @@ TEST(Bf16Layers, StayWithinTheirErrorBoundForEveryShapeAndStart) {
     const auto w = random_values<float>(std::int64_t{s.in} * s.out, 3),
                starts = random_values<float>((s.rows + 5) * s.out, 4);
     const View<const float> weight(w.data(), s.in, s.out);
-    std::vector<float> turned(w.size()), rounded(w.size());
-    for (std::size_t i = 0; i < w.size(); ++i) rounded[i] = as_bf16(w[i]);
-    for (std::int32_t i = 0; i < s.in; ++i) {
-      for (std::int32_t j = 0; j < s.out; ++j) turned[j * s.in + i] = w[i * s.out + j];
-    }
+    const Matrix<float> turned = mapped(w.data(), s.in, s.out, s.out).transpose(),
+                        rounded = mapped(w.data(), s.in, s.out, s.out).unaryExpr(&as_bf16);
+    const Matrix<double> products = dense(x.view()) * rounded.cast<double>(),
+                         sizes = dense(x.view()).cwiseAbs() * rounded.cwiseAbs().cast<double>();
     std::vector<std::int32_t> ray(static_cast<std::size_t>(s.rows));
     for (std::size_t i = 0; i < ray.size(); ++i) ray[i] = static_cast<std::int32_t>(i * 5 / ray.size());
     const Packed plain(weight, false), from_transpose(View<const float>(turned.data(), s.out, s.in), true);
@@ -440,28 +439,18 @@ TEST(Bf16Layers, StayWithinTheirErrorBoundForEveryShapeAndStart) {
           l.exact = View<float>(exact.data(), s.rows, s.out, s.out + 3);
           apply(l);
           ASSERT_TRUE(y.guarded() && y.padded_with_zeros());
-          for (std::int64_t m = 0; m < s.rows; ++m) {
-            for (std::int32_t j = 0; j < s.out; ++j) {
-              double sum = 0, magnitude = 0;
-              if (start != Bf16Start::none) {
-                const std::int64_t row = start == Bf16Start::one ? 0 : start == Bf16Start::per_row ? m : ray[m];
-                sum = starts[row * s.out + j];
-              }
-              for (std::int32_t k = 0; k < s.in; ++k) {
-                const double product =
-                    static_cast<double>(wide(x.view()(m, k))) * static_cast<double>(rounded[k * s.out + j]);
-                sum += product;
-                magnitude += std::fabs(product);
-              }
-              if (l.relu) sum = std::max(sum, 0.0);
-              if (!l.mask.empty() && !(wide(mask.view()(m, j)) > 0)) sum = 0;
-              const float got = exact[m * (s.out + 3) + j];
-              ASSERT_NEAR(got, sum, (s.in + 2) * std::ldexp(1.0, -23) * (magnitude + 1))
-                  << s.rows << " x " << s.in << " x " << s.out << " at " << m << ", " << j;
-              ASSERT_EQ(wide(y.view()(m, j)), as_bf16(got));
-            }
-            for (std::int64_t j = s.out; j < s.out + 3; ++j) ASSERT_EQ(exact[m * (s.out + 3) + j], 12345.0F);
+          Matrix<double> sums = products;
+          for (std::int64_t m = 0; m < s.rows && start != Bf16Start::none; ++m) {
+            const std::int64_t row = start == Bf16Start::one ? 0 : start == Bf16Start::per_row ? m : ray[m];
+            sums.row(m) += mapped(starts.data(), row + 1, s.out, s.out).row(row).cast<double>();
           }
+          if (l.relu) sums = sums.cwiseMax(0.0);
+          if (!l.mask.empty()) sums = (dense(mask.view()).array() > 0).select(sums, 0.0);
+          const Matrix<float> got = mapped(exact.data(), s.rows, s.out, s.out + 3);
+          const double step = (s.in + 2) * std::ldexp(1.0, -23);
+          ASSERT_EQ(far_off(got, sums, step * (sizes.array() + 1)), "") << s.rows << " x " << s.in << " x " << s.out;
+          ASSERT_EQ(dense(y.view()), got.unaryExpr(&as_bf16).cast<double>());
+          ASSERT_TRUE((mapped(exact.data() + s.out, s.rows, 3, s.out + 3).array() == 12345.0F).all());
           ++cases;
         }
       }
@@ -494,31 +483,17 @@ TEST(Bf16Layers, WeightGradientsAddUpTheRows) {
     const auto dw_before = dw, db_before = db;
     weight_gradient(x.view(), dz.view(), View<float>(dw.data(), s.in, s.out, s.out + 2),
                     View<float>(db.data(), 1, s.out));
-    for (std::int32_t j = 0; j < s.out; ++j) {
-      double bias = db_before[j], size = 0;
-      for (std::int64_t m = 0; m < s.rows; ++m) {
-        bias += static_cast<double>(wide(dz.view()(m, j)));
-        size += std::fabs(static_cast<double>(wide(dz.view()(m, j))));
-      }
-      ASSERT_NEAR(db[j], bias, static_cast<double>(s.rows + 1) * std::ldexp(1.0, -23) * (size + 1));
-      for (std::int32_t i = 0; i < s.in; ++i) {
-        const auto at = static_cast<std::size_t>(i * (s.out + 2) + j);
-        double sum = dw_before[at], magnitude = 0;
-        for (std::int64_t m = 0; m < s.rows; ++m) {
-          const double product = static_cast<double>(wide(x.view()(m, i))) * static_cast<double>(wide(dz.view()(m, j)));
-          sum += product;
-          magnitude += std::fabs(product);
-        }
-        ASSERT_NEAR(dw[at], sum, static_cast<double>(s.rows + 1) * std::ldexp(1.0, -23) * (magnitude + 1))
-            << s.rows << " x " << s.in << " x " << s.out << " at " << i << ", " << j;
-      }
-    }
-    for (std::int32_t i = 0; i < s.in; ++i) {
-      for (std::int32_t j = s.out; j < s.out + 2; ++j) {
-        const auto at = static_cast<std::size_t>(i * (s.out + 2) + j);
-        ASSERT_EQ(dw[at], dw_before[at]) << "between the rows of d_weight";
-      }
-    }
+    const Matrix<double> rows = dense(x.view()), of = dense(dz.view());
+    const double step = static_cast<double>(s.rows + 1) * std::ldexp(1.0, -23);
+    const Matrix<double> bias = mapped(db_before.data(), 1, s.out, s.out).cast<double>() + of.colwise().sum(),
+                         bias_sizes = of.cwiseAbs().colwise().sum();
+    ASSERT_EQ(far_off(mapped(db.data(), 1, s.out, s.out), bias, step * (bias_sizes.array() + 1)), "");
+    const auto before = mapped(dw_before.data(), s.in, s.out + 2, s.out + 2),
+               now = mapped(dw.data(), s.in, s.out + 2, s.out + 2);
+    const Matrix<double> sums = before.leftCols(s.out).cast<double>() + rows.transpose() * of,
+                         sizes = rows.cwiseAbs().transpose() * of.cwiseAbs();
+    ASSERT_EQ(far_off(now, sums, step * (sizes.array() + 1)), "") << s.rows << " x " << s.in << " x " << s.out;
+    ASSERT_EQ(now.rightCols(2), before.rightCols(2)) << "between the rows of d_weight";
   }
 }
 
@@ -549,22 +524,13 @@ TEST(Bf16Layers, SumsOfWeightedRowsAndTheirGradients) {
     weighted_row_sum(w, hidden.view(), View<float>(sum.data(), 1, cols));
     weighted_row_sum_backward(w, hidden.view(), View<const float>(d_sum.data(), 1, cols),
                               View<float>(dots.data(), rows, 1), d_hidden.view());
-    for (std::int32_t c = 0; c < cols; ++c) {
-      double want = 0;
-      for (std::int64_t k = 0; k < rows; ++k) {
-        const float w_k = weight[k], d = d_sum[c];
-        const float h = wide(hidden.view()(k, c));
-        want += static_cast<double>(w_k) * static_cast<double>(h);
-        EXPECT_EQ(wide(d_hidden.view()(k, c)), h > 0 ? as_bf16(w_k * d) : 0.0F);
-      }
-      EXPECT_NEAR(sum[c], want, 1e-5);
-    }
-    for (std::int64_t k = 0; k < rows; ++k) {
-      double want = 0;
+    const Matrix<double> h = dense(hidden.view()), by_row = dense(w),
+                         by_column = mapped(d_sum.data(), 1, cols, cols).cast<double>();
+    EXPECT_EQ(far_off(mapped(sum.data(), 1, cols, cols), by_row.transpose() * h, 1e-5), "");
+    EXPECT_EQ(far_off(mapped(dots.data(), rows, 1, 1), h * by_column.transpose(), 1e-4), "");
+    for (std::int64_t k = 0; k < rows; ++k)
       for (std::int32_t c = 0; c < cols; ++c)
-        want += static_cast<double>(wide(hidden.view()(k, c))) * static_cast<double>(d_sum[c]);
-      EXPECT_NEAR(dots[k], want, 1e-4);
-    }
+        EXPECT_EQ(wide(d_hidden.view()(k, c)), h(k, c) > 0 ? as_bf16(weight[k] * d_sum[c]) : 0.0F);
   }
 }
 
@@ -665,24 +631,10 @@ TEST(LayersOnTiles, AreExactWhereNothingNeedsRounding) {
     o.layer.exact = View<float>(sums.data(), rows, out);
     on_tiles::layer<Plain>(o.layer);
     on_tiles::weight_gradient<Plain>(o.layer.x, o.layer.x, View<float>(gradient.data(), in, in));
-    for (std::int32_t i = 0; i < in; ++i) {
-      for (std::int32_t j = 0; j < in; ++j) {
-        double sum = 1;
-        for (std::int64_t m = 0; m < rows; ++m)
-          sum += static_cast<double>(SEMFIELD_ISA::widen(o.layer.x(m, i))) *
-                 static_cast<double>(SEMFIELD_ISA::widen(o.layer.x(m, j)));
-        ASSERT_EQ(gradient[i * in + j], sum) << i << ", " << j << " of " << in;
-      }
-    }
-    for (std::int64_t m = 0; m < rows; ++m) {
-      for (std::int32_t n = 0; n < out; ++n) {
-        double sum = o.start[m * out + n];
-        for (std::int32_t k = 0; k < in; ++k)
-          sum += static_cast<double>(SEMFIELD_ISA::widen(o.layer.x(m, k))) * static_cast<double>(o.weight[k * out + n]);
-        ASSERT_EQ(sums[m * out + n], std::max(sum, 0.0))
-            << rows << " x " << in << " x " << out << " at " << m << ", " << n;
-      }
-    }
+    const Matrix<double> x = dense(o.layer.x), weight = mapped(o.weight.data(), in, out, out).cast<double>();
+    EXPECT_EQ(mapped(gradient.data(), in, in, in).cast<double>(), ((x.transpose() * x).array() + 1).matrix()) << in;
+    EXPECT_EQ(mapped(sums.data(), rows, out, out).cast<double>(), (dense(o.layer.start) + x * weight).cwiseMax(0.0))
+        << rows << " x " << in << " x " << out;
   }
 }
 
