@@ -507,8 +507,7 @@ LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const Label
 bool LabelLoop::due(const PoolView& view) const { return view.map.empty() || is_stale(view.map, training_.step()); }
 
 SurfaceMap LabelLoop::map_of(int view, std::int32_t stride) {
-  return make_surface_map(pipeline_, views_[static_cast<std::size_t>(view)].camera, training_.session().limits, stride,
-                          training_.step());
+  return make_surface_map(pipeline_, this->view(view).camera, training_.session().limits, stride, training_.step());
 }
 
 bool LabelLoop::update_surfaces(double budget_s) {
@@ -818,7 +817,7 @@ void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {
   skipped_.clear();
   const RayLimits& limits = training_.session().limits;
   for (const LabelledPixels& place : skipped) {
-    const RayCamera& camera = views_[static_cast<std::size_t>(place.view)].camera;
+    const RayCamera& camera = view(place.view).camera;
     const std::vector<float> distance = surface_distances(pipeline_, camera, limits, place.pixels);
     if (!distance.empty() && distance[0] > 0)
       skipped_.push_back(point_at(camera, limits, place.pixels[0], static_cast<double>(distance[0])));

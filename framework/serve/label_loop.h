@@ -328,6 +328,7 @@ class LabelLoop {
             std::span<const int> held_out = {});
 
   const std::vector<PoolView>& views() const { return views_; }
+  const PoolView& view(int number) const { return views_[static_cast<std::size_t>(number)]; }
   /// Those that are not held out.
   std::span<const PoolView> pooled() const { return {views_.data(), pooled_}; }
   const SurfacePool& pool() const { return pool_; }

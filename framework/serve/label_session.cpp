@@ -799,7 +799,7 @@ std::vector<std::uint8_t> with_clicks(const StoredFrame& photo, const std::vecto
 
 void write_pictures(const RunFolder& folder, const Session& session, LabelLoop& loop, int view,
                     const std::vector<const Mark*>& marks) {
-  const PoolView& pool_view = loop.views()[static_cast<std::size_t>(view)];
+  const PoolView& pool_view = loop.view(view);
   const std::string& name = session.scene.info.frames[static_cast<std::size_t>(pool_view.frame)].name;
   const auto path = [&](const char* kind) { return folder.render_path("labelled", name, kind); };
   const StoredFrame& photo = *pool_view.photo;
@@ -832,7 +832,7 @@ void LabelRun::write_record(LabelState state) {
   std::vector<int> views(loop_.pooled().size());
   std::iota(views.begin(), views.end(), 0);
   const auto clicks_of = [&](int view) {
-    const auto found = marks.find(loop_.views()[static_cast<std::size_t>(view)].frame);
+    const auto found = marks.find(loop_.view(view).frame);
     return found == marks.end() ? std::vector<const Mark*>() : found->second;
   };
   std::stable_sort(views.begin(), views.end(), [&](int a, int b) { return clicks_of(a).size() > clicks_of(b).size(); });
@@ -840,8 +840,8 @@ void LabelRun::write_record(LabelState state) {
     const std::vector<const Mark*> of_view = clicks_of(view);
     if (of_view.empty() || record.shown.size() == kShown) break;
     write_pictures(folder(), session(), loop_, view, of_view);
-    const int frame = loop_.views()[static_cast<std::size_t>(view)].frame;
-    record.shown.push_back({session().scene.info.frames[static_cast<std::size_t>(frame)].name, std::ssize(of_view)});
+    const auto frame = static_cast<std::size_t>(loop_.view(view).frame);
+    record.shown.push_back({session().scene.info.frames[frame].name, std::ssize(of_view)});
   }
   write_file_atomic(folder().labelling_path(), labelling_record_json(record));
 }

@@ -31,6 +31,11 @@ bool is_finite(const Pose& pose) {
   return std::isfinite(sum);
 }
 
+// Made without rendering a picture.
+bool is_at_hand(const PictureRequest& request) {
+  return request.at || (request.view >= 0 && !request.color && !request.full);
+}
+
 std::int32_t fine_stride(const Camera& camera) {
   const double pixels = static_cast<double>(camera.width_px) * camera.height_px;
   return std::max(1, static_cast<std::int32_t>(std::ceil(std::sqrt(pixels / kFinePixels))));
@@ -40,13 +45,8 @@ std::int32_t fine_stride(const Camera& camera) {
 
 ViewPictures::ViewPictures(Trainer& training, LabelLoop& loop) : training_(training), loop_(loop) {}
 
-ViewPictures::Fine* ViewPictures::find_fine(int view) {
-  const auto found = std::find_if(fine_.begin(), fine_.end(), [&](const Fine& f) { return f.view == view; });
-  return found == fine_.end() ? nullptr : &*found;
-}
-
 RayCamera ViewPictures::camera_for(const PictureRequest& request) const {
-  if (request.view >= 0) return loop_.views()[static_cast<std::size_t>(request.view)].camera;
+  if (request.view >= 0) return loop_.view(request.view).camera;
   const Camera& like = loop_.views().front().camera.camera;
   const double most = request.most_px > 0 ? request.most_px : std::max(like.width_px, like.height_px);
   const double aspect = static_cast<double>(like.width_px) / like.height_px;
@@ -80,7 +80,7 @@ void ViewPictures::begin(const PictureRequest& request) {
   spent_s_ = 0;
   shows_labels_ = training_.session().pipeline->has_semantics() && loop_.learned();
   request_ = request;
-  if (request.at || (request.view >= 0 && !request.color && !request.full)) return;
+  if (is_at_hand(request)) return;
   Camera& camera = camera_.camera;
   if (!request.full) {  // small enough to be there soon
     const double rays = static_cast<double>(camera.width_px) * camera.height_px,
@@ -97,7 +97,7 @@ void ViewPictures::begin(const PictureRequest& request) {
 
 std::optional<Picture> ViewPictures::work(double budget_s) {
   if (!request_) return std::nullopt;
-  if (request_->at || (request_->view >= 0 && !request_->color && !request_->full)) {
+  if (is_at_hand(*request_)) {
     const Clock::time_point start = Clock::now();
     Picture made = request_->at ? spot_of(*request_) : labels_of_view(*request_);
     made.render_ms = 1e3 * seconds_since(start);
@@ -113,31 +113,28 @@ std::optional<Picture> ViewPictures::work(double budget_s) {
 }
 
 Picture ViewPictures::labels_of_view(const PictureRequest& request) {
-  Fine* fine = find_fine(request.view);
-  if (fine == nullptr) {
-    const PoolView& view = loop_.views()[static_cast<std::size_t>(request.view)];
-    Fine fresh;
-    fresh.view = request.view;
-    fresh.map.stride = fine_stride(view.camera.camera);
-    fresh.map.width_px = strided_px(view.camera.camera.width_px, fresh.map.stride);
-    fresh.map.height_px = strided_px(view.camera.camera.height_px, fresh.map.stride);
+  const PoolView& view = loop_.view(request.view);
+  const auto known = std::find_if(fine_.begin(), fine_.end(), [&](const Fine& f) { return f.view == request.view; });
+  if (known == fine_.end()) {
+    const Camera& camera = view.camera.camera;
+    Fine& fresh = *fine_.insert(fine_.begin(), Fine{.view = request.view, .map = {}});
+    fresh.map.stride = fine_stride(camera);
+    fresh.map.width_px = strided_px(camera.width_px, fresh.map.stride);
+    fresh.map.height_px = strided_px(camera.height_px, fresh.map.stride);
     fresh.map.distance_m.assign(static_cast<std::size_t>(std::int64_t{fresh.map.width_px} * fresh.map.height_px), 0);
-    fine_.push_front(std::move(fresh));
     if (fine_.size() > kFineViews) fine_.pop_back();
-    fine = &fine_.front();
   } else {
-    const auto at = std::find_if(fine_.begin(), fine_.end(), [&](const Fine& f) { return &f == fine; });
-    fine_.splice(fine_.begin(), fine_, at);
+    std::rotate(fine_.begin(), known, known + 1);
   }
-  ViewLabels labels = loop_.labels_of(request.view, fine->map.step > 0 ? &fine->map : nullptr);
+  const Fine& fine = fine_.front();
+  ViewLabels labels = loop_.labels_of(request.view, fine.map.step > 0 ? &fine.map : nullptr);
   Picture picture;
   picture.width_px = labels.width_px;
   picture.height_px = labels.height_px;
   if (request.labels) {
     picture.label = std::move(labels.label);
-    const PoolView& view = loop_.views()[static_cast<std::size_t>(request.view)];
-    const bool is_fine = fine->complete() && fine->map.step > 0;
-    picture.seen = seen_by(view.camera, distance_in(is_fine ? fine->map : view.map), request.view);
+    const bool is_fine = fine.complete() && fine.map.step > 0;
+    picture.seen = seen_by(view.camera, distance_in(is_fine ? fine.map : view.map), request.view);
   }
   if (request.entropy) picture.entropy = std::move(labels.entropy);
   return picture;
@@ -155,7 +152,7 @@ std::vector<SeenMark> ViewPictures::seen_in_picture() {
     };
     return seen_by(camera_, distance, -1);
   }
-  const PoolView& view = loop_.views()[static_cast<std::size_t>(request_->view)];
+  const PoolView& view = loop_.view(request_->view);
   std::vector<SeenMark> seen = seen_by(view.camera, distance_in(view.map), request_->view);
   for (SeenMark& mark : seen)
     for (PixelPoint& p : mark.points)
@@ -190,7 +187,7 @@ bool ViewPictures::refine(double budget_s) {
     fine.done = 0;  // the old distances stay until the new ones are there
   }
   const Clock::time_point start = Clock::now();
-  const RayCamera& camera = loop_.views()[static_cast<std::size_t>(fine.view)].camera;
+  const RayCamera& camera = loop_.view(fine.view).camera;
   const auto total = static_cast<std::int64_t>(fine.map.distance_m.size());
   while (fine.done < total && seconds_since(start) < budget_s) {
     std::vector<PixelPlace> pixels;

@@ -3,7 +3,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <list>
 #include <memory>
 #include <optional>
 #include <span>
@@ -69,7 +68,6 @@ class ViewPictures {
     std::int64_t done = 0;  ///< pixels
     bool complete() const { return done == static_cast<std::int64_t>(map.distance_m.size()); }
   };
-  Fine* find_fine(int view);
   Picture labels_of_view(const PictureRequest& request);
   Picture spot_of(const PictureRequest& request);
   std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) const;
@@ -81,7 +79,7 @@ class ViewPictures {
 
   Trainer& training_;
   LabelLoop& loop_;
-  std::list<Fine> fine_;  // the one looked at last comes first
+  std::vector<Fine> fine_;  // the one looked at last comes first
   double rays_per_s_ = 60'000;
   std::optional<PictureRequest> request_;
   RayCamera camera_;
