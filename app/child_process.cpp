@@ -134,15 +134,17 @@ int run_logged_child(const std::vector<std::string>& words, const std::string& l
   }
 }
 
+std::string last_line(const std::string& log_file) {
+  if (!std::filesystem::exists(log_file)) return {};
+  std::string text = read_text_file(log_file);
+  text.resize(text.find_last_not_of('\n') + 1);
+  return text.substr(text.rfind('\n') + 1);
+}
+
 std::string child_failure(int status, const std::string& log_file) {
-  const std::string log = read_text_file(log_file);
-  const std::size_t end = log.find_last_not_of("\n");
-  const std::size_t begin = end == std::string::npos ? 0 : log.find_last_of('\n', end);
-  const std::string last =
-      end == std::string::npos ? "" : log.substr(begin == std::string::npos ? 0 : begin + 1, end - begin);
   const std::string how = WIFSIGNALED(status) ? fmt::format("ended by signal {}", WTERMSIG(status))
                                               : fmt::format("exit code {}", WEXITSTATUS(status));
-  return fmt::format("{}: {} (see {})", how, last, log_file);
+  return fmt::format("{}: {} (see {})", how, last_line(log_file), log_file);
 }
 
 namespace fs = std::filesystem;

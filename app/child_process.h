@@ -68,6 +68,8 @@ ChildEnd run_child(const std::vector<std::string>& words);
 /// the code as ChildEnd has it.
 int run_logged_child(const std::vector<std::string>& words, const std::string& log, const std::function<void()>& tick);
 
+/// What a program said last in its log; "" where it has said nothing.
+std::string last_line(const std::string& log_file);
 /// How a child that ended with this status failed: code or signal, the last line of its log, and where the rest is.
 std::string child_failure(int status, const std::string& log_file);
 

@@ -165,7 +165,8 @@ std::string today() {
 
 }  // namespace
 
-ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step, Vec3d up) {
+ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step,
+                        std::optional<Vec3d> up) {
   const SceneInfo& info = session.scene.info;
   const std::vector<int> frames = session.scene.frames_of(Split::train);
   std::filesystem::path folder = std::filesystem::path(run_dir).lexically_normal();
@@ -176,7 +177,8 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
   page.step = step;
   page.metric = info.metric;
   page.bounds = session.extent.bounds;
-  page.up = up;
+  if (!up) up = upright_of(session);
+  page.up = up.value_or(page.up);
   page.logits = static_cast<int>(session.plan.class_of_logit.size());
   page.about = {
       fmt::format("Run '{}': {} steps of training on {} photographs.", page.run, step, frames.size()),
@@ -393,8 +395,7 @@ std::string report_scene(const Session& session, const std::string& run_dir, std
   wishes.depth_rays = rays;
   try {
     const RunSurface found = make_run_surface(session, run_dir, wishes, {}, {});
-    return scene_page_text(found.surface, session.scene.info.classes,
-                           scene_page_of(session, run_dir, step, upright_of(session).value_or(Vec3d{0, 1, 0})));
+    return scene_page_text(found.surface, session.scene.info.classes, scene_page_of(session, run_dir, step));
   } catch (const Error& e) {
     if (e.kind() != ErrorKind::data && e.kind() != ErrorKind::no_input) throw;
     print_note(context, "no view in 3D in the report: " + e.message());

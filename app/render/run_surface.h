@@ -33,7 +33,9 @@ struct ScenePage {
 
 /// A room is looked at from where its cameras stood too; the middle of those around an object lies in the object.
 /// Objects are those of RUN/objects, with their edits, where they were found.
-ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step, Vec3d up);
+/// `up`: else as the cameras of the training frames stand, or the axis y where they do not tell.
+ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step,
+                        std::optional<Vec3d> up = {});
 
 /// A page that stands alone. Positions are rounded to 65,535 steps along each side of the surface's box, and stay in
 /// the input's world. surface.attributes.color holds colours as rendered; class colours are the table's. Throws

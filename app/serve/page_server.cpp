@@ -75,15 +75,6 @@ std::string type_of_export(const std::string& file) {
 
 bool is_open(const ExportState& state) { return state.state == "waiting" || state.state == "running"; }
 
-// What a program said last of how far it is.
-std::string last_line(const std::string& log) {
-  std::error_code failed;
-  if (fs::file_size(log, failed) == 0 || failed) return {};
-  std::string text = read_text_file(log);
-  while (!text.empty() && text.back() == '\n') text.pop_back();
-  return text.substr(text.rfind('\n') + 1);
-}
-
 }  // namespace
 
 PageExports::~PageExports() {

@@ -146,8 +146,7 @@ int export_page(const ExportVerbOptions& options, AppContext& context) {
   }
   const std::filesystem::path file(options.to);
   if (file.has_parent_path()) create_folders(file.parent_path().string());
-  const ScenePage page =
-      scene_page_of(run.session, run.run_dir, run.step, upright_of(run.session).value_or(Vec3d{0, 1, 0}));
+  const ScenePage page = scene_page_of(run.session, run.run_dir, run.step);
   write_scene_page(options.to, found.surface, run.session.scene.info.classes, page);
   const std::size_t objects = page.objects ? page.objects->rows.size() : 0;
   const double megabytes = static_cast<double>(std::filesystem::file_size(file)) * 1e-6;

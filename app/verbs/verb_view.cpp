@@ -77,7 +77,7 @@ class ViewedRun {
       : run_(std::move(run)),
         work_(run_.session.work()),
         objects_((fs::path(run_.run_dir) / "objects").string(), run_.session.scene.info) {
-    page_ = scene_page_of(run_.session, run_.run_dir, run_.step, upright_of(run_.session).value_or(Vec3d{0, 1, 0}));
+    page_ = scene_page_of(run_.session, run_.run_dir, run_.step);
     try {
       objects_.mend();
     } catch (const Error& e) {
