@@ -10,7 +10,6 @@
 
 #include "loading/frame_files.h"
 #include "scene/camera.h"
-#include "scene/camera_path.h"
 #include "scene/classes/class_table.h"
 #include "scene/survey/bundle.h"
 #include "system/files.h"
