@@ -41,7 +41,6 @@
 #include "formats/image_io.h"
 #include "run/run_scores.h"
 #include "scene/camera.h"
-#include "scene/camera_path.h"
 #include "scene/scene.h"
 #include "session/session.h"
 #include "system/files.h"

@@ -13,7 +13,6 @@
 #include "scene/camera_rig.h"
 #include "scene/scene.h"
 #include "scene/survey/geometry_survey.h"
-#include "scene/survey/plain_background.h"
 
 namespace semfield {
 

@@ -1,8 +1,13 @@
 // How the cameras of a scene stand to what they photograph: around one place, or any other way.
 #pragma once
 
+#include <algorithm>
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <iterator>
+#include <optional>
 #include <vector>
 
 #include "core/quantile.h"
@@ -57,5 +62,18 @@ void convert_info(SceneInfo& info, const PoseConvention& convention);
 
 /// Depth of a frame as read.
 void convert_depth(FrameBuffer& frame, const PoseConvention& convention);
+
+// Frames of an object before one colour: a transparent or plain background, and the box of what stands before it.
+
+struct PlainBackground {
+  std::array<std::uint8_t, 3> color{};
+  Box object;  ///< of the visual hull: of the voxels that hardly any frame shows as background
+};
+
+/// What the frames' borders show alike, when that is a quarter of all pixels too; nothing unless the cameras look
+/// inward. `cameras[i]` took `pixels[i]`. Transparent pixels have the colour that the dataset put behind them.
+std::optional<PlainBackground> find_plain_background(const Cameras& cameras,
+                                                     const std::vector<const StoredFrame*>& pixels,
+                                                     const CameraRig& rig);
 
 }  // namespace semfield

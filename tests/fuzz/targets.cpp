@@ -31,7 +31,6 @@
 #include "report/sweep.h"
 #include "run/metrics_log.h"
 #include "scene/camera.h"
-#include "scene/camera_path.h"
 #include "scene/classes/class_table.h"
 #include "session/checkpoint_facts.h"
 #include "session/settings/run_config.h"

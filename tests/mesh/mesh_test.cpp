@@ -17,7 +17,7 @@
 #include "core/text.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/mesh_render.h"
-#include "scene/camera_path.h"
+#include "scene/camera.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/shape/simplify.h"

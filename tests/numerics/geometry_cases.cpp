@@ -11,7 +11,7 @@
 #include "loading/frame_source.h"
 #include "named_case.h"
 #include "rooms.h"
-#include "scene/camera_path.h"
+#include "scene/camera.h"
 #include "scene/scene.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"

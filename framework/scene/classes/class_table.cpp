@@ -9,12 +9,14 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include "config/config_tree.h"
 #include "core/check.h"
@@ -29,9 +31,17 @@ namespace {
 
 constexpr std::int32_t kMaxId = 65535;  // what a 16-bit label image can hold
 
-bool parse_int(std::string_view text, std::int32_t& out) {
+// A whole number of at least `low` and at most `high`.
+bool parse_int(std::string_view text, std::int32_t& out, std::int32_t low = std::numeric_limits<std::int32_t>::min(),
+               std::int32_t high = std::numeric_limits<std::int32_t>::max()) {
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
-  return status == std::errc{} && end == text.data() + text.size();
+  return status == std::errc{} && end == text.data() + text.size() && out >= low && out <= high;
+}
+
+// As a table has it that tells neither colours nor what is void.
+ClassEntry plain_entry(std::int32_t id, std::string name) {
+  const bool ignore = is_void_entry(id, name);
+  return {id, std::move(name), ClassTable::default_color(id), ignore};
 }
 
 [[noreturn]] void refuse(Code code, const std::string& place, const std::string& message,
@@ -72,19 +82,18 @@ std::vector<std::string> color_values(const std::string& text) {
 
 ClassEntry csv_entry(const TextRow& row, bool says_ignore) {
   const std::vector<std::string>& f = row.fields;
-  ClassEntry entry;
-  if (!parse_int(f[kId], entry.id))
+  std::int32_t id = 0;
+  if (!parse_int(f[kId], id))
     refuse("classes.table.format", row.place, "expected a class id, got '" + f[kId] + "'", kCsvRemedy);
   if (f[kName].empty()) refuse("classes.table.format", row.place, "class " + f[kId] + " has no name", kCsvRemedy);
-  entry.name = f[kName];
-  entry.ignore = says_ignore ? truth_of(f[kIgnore], row.place) : is_void_entry(entry.id, entry.name);
-  entry.color = ClassTable::default_color(entry.id);
+  ClassEntry entry = plain_entry(id, f[kName]);
+  if (says_ignore) entry.ignore = truth_of(f[kIgnore], row.place);
   std::vector<std::string> color{f[kRed], f[kGreen], f[kBlue]};
   if (!f[kColor].empty()) color = color_values(f[kColor]);
   if (std::all_of(color.begin(), color.end(), [](const std::string& value) { return value.empty(); })) return entry;
   for (std::size_t i = 0; i < 3; ++i) {
     std::int32_t value = 0;
-    if (color.size() != 3 || !parse_int(color[i], value) || value < 0 || value > 255)
+    if (color.size() != 3 || !parse_int(color[i], value, 0, 255))
       refuse("classes.table.value", row.place,
              "colour: expected three numbers from 0 to 255, got '" + join(color, ",") + "'",
              "put a name that holds a comma in double quotes, and colours in columns red, green and blue");
@@ -142,11 +151,8 @@ ClassTable load_json(const std::string& path) {
     if (id < 0) continue;  // Replica writes -1 for "no class"
     if (id > kMaxId)
       refuse("classes.table.id", path, "class id " + std::to_string(id) + " is above " + std::to_string(kMaxId));
-    ClassEntry entry{static_cast<std::int32_t>(id), item["name"].get<std::string>(),
-                     ClassTable::default_color(static_cast<std::int32_t>(id)), false};
-    entry.ignore = is_void_entry(entry.id, entry.name);
+    entries.push_back(plain_entry(static_cast<std::int32_t>(id), item["name"].get<std::string>()));
     has_zero = has_zero || id == 0;
-    entries.push_back(std::move(entry));
   }
   if (!has_zero) entries.push_back({0, "undefined", ClassTable::default_color(0), true});
   return ClassTable(std::move(entries));
@@ -154,17 +160,14 @@ ClassTable load_json(const std::string& path) {
 
 std::int32_t scalar_int(const ConfigNode& node, const std::string& what, std::int32_t low, std::int32_t high) {
   std::int32_t value = 0;
-  if (!node.is_scalar() || node.quoted() || !parse_int(node.text(), value) || value < low || value > high) {
-    refuse("classes.table.value", node.location().text(),
-           fmt::format("{}: expected an integer from {} to {}, got '{}'", what, low, high, node.text()));
-  }
-  return value;
+  if (node.is_scalar() && !node.quoted() && parse_int(node.text(), value, low, high)) return value;
+  refuse("classes.table.value", node.location().text(),
+         fmt::format("{}: expected an integer from {} to {}, got '{}'", what, low, high, node.text()));
 }
 
 ClassEntry yaml_entry(const ConfigNode& item) {
   const std::string place = item.location().text();
   if (!item.is_map()) refuse("classes.table.format", place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
-  ClassEntry entry;
   static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
   for (const auto& [key, value] : item.entries()) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
@@ -175,11 +178,10 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   const ConfigNode* id = item.find("id");
   const ConfigNode* name = item.find("name");
   if (id == nullptr) refuse("classes.table.format", place, "a class needs an 'id'", kYamlRemedy);
-  entry.id = scalar_int(*id, "id", 0, kMaxId);
+  const std::int32_t number = scalar_int(*id, "id", 0, kMaxId);
   if (name == nullptr || !name->is_scalar() || name->text().empty())
-    refuse("classes.table.format", place, "class " + std::to_string(entry.id) + " needs a 'name'", kYamlRemedy);
-  entry.name = name->text();
-  entry.color = ClassTable::default_color(entry.id);
+    refuse("classes.table.format", place, "class " + std::to_string(number) + " needs a 'name'", kYamlRemedy);
+  ClassEntry entry = plain_entry(number, name->text());
   if (const ConfigNode* color = item.find("color"); color != nullptr && !color->is_null()) {
     if (!color->is_list() || color->items().size() != 3)
       refuse("classes.table.value", color->location().text(), "color: expected [r, g, b]");
@@ -191,8 +193,6 @@ ClassEntry yaml_entry(const ConfigNode& item) {
       refuse("classes.table.value", ignore->location().text(),
              "ignore: expected true or false, got '" + ignore->text() + "'");
     entry.ignore = ignore->text() == "true";
-  } else {
-    entry.ignore = is_void_entry(entry.id, entry.name);
   }
   return entry;
 }
@@ -446,52 +446,43 @@ std::int16_t SoftMap::argmax(std::size_t pixel) const {
 
 namespace {
 
-constexpr std::array<std::string_view, 13> kNyu13{"bed",       "books",   "ceiling", "chair", "floor",
-                                                  "furniture", "objects", "picture", "sofa",  "table",
-                                                  "tv",        "wall",    "window"};
+// Names of the ids 1, 2, ..., with '_' for blanks.
+constexpr std::string_view kNyu13 = "bed books ceiling chair floor furniture objects picture sofa table tv wall window";
+constexpr std::string_view kNyu40 =
+    "wall floor cabinet bed chair sofa table door window bookshelf picture counter blinds desk shelves curtain dresser "
+    "pillow mirror floor_mat clothes ceiling books refrigerator television paper towel shower_curtain box whiteboard "
+    "person night_stand toilet sink lamp bathtub bag otherstructure otherfurniture otherprop";
 
-constexpr std::array<std::string_view, 40> kNyu40{"wall",       "floor",          "cabinet",        "bed",
-                                                  "chair",      "sofa",           "table",          "door",
-                                                  "window",     "bookshelf",      "picture",        "counter",
-                                                  "blinds",     "desk",           "shelves",        "curtain",
-                                                  "dresser",    "pillow",         "mirror",         "floor mat",
-                                                  "clothes",    "ceiling",        "books",          "refrigerator",
-                                                  "television", "paper",          "towel",          "shower curtain",
-                                                  "box",        "whiteboard",     "person",         "night stand",
-                                                  "toilet",     "sink",           "lamp",           "bathtub",
-                                                  "bag",        "otherstructure", "otherfurniture", "otherprop"};
+// ScanNet's twenty of NYU40, with the colours of its pictures.
+constexpr std::array<std::pair<std::int32_t, std::uint32_t>, 20> kScannet20{
+    {{1, 0xAEC7E8},  {2, 0x98DF8A},  {3, 0x1F77B4},  {4, 0xFFBB78},  {5, 0xBCBD22},  {6, 0x8C564B},  {7, 0xFF9896},
+     {8, 0xD62728},  {9, 0xC5B0D5},  {10, 0x9467BD}, {11, 0xC49C94}, {12, 0x17BECF}, {14, 0xF7B6D2}, {16, 0xDBDB8D},
+     {24, 0xFF7F0E}, {28, 0x9EDAE5}, {33, 0x2CA02C}, {34, 0x708090}, {36, 0xE377C2}, {39, 0x5254A3}}};
 
-// ScanNet's twenty with the colours of its pictures.
-struct ScannetClass {
-  std::uint8_t nyu40;
-  std::array<std::uint8_t, 3> color;
-};
-constexpr std::array<ScannetClass, 20> kScannet20{{
-    {1, {174, 199, 232}},  {2, {152, 223, 138}}, {3, {31, 119, 180}},   {4, {255, 187, 120}},  {5, {188, 189, 34}},
-    {6, {140, 86, 75}},    {7, {255, 152, 150}}, {8, {214, 39, 40}},    {9, {197, 176, 213}},  {10, {148, 103, 189}},
-    {11, {196, 156, 148}}, {12, {23, 190, 207}}, {14, {247, 182, 210}}, {16, {219, 219, 141}}, {24, {255, 127, 14}},
-    {28, {158, 218, 229}}, {33, {44, 160, 44}},  {34, {112, 128, 144}}, {36, {227, 119, 194}}, {39, {82, 84, 163}},
-}};
-
-std::string name_in(std::span<const std::string_view> names, std::int32_t id) {
-  return std::string(names[static_cast<std::size_t>(id - 1)]);
+std::string name_in(std::string_view names, std::int32_t id) {
+  std::string name(words_of(names)[static_cast<std::size_t>(id - 1)]);
+  std::replace(name.begin(), name.end(), '_', ' ');
+  return name;
 }
 
 ClassEntry pascal_entry(std::int32_t id, std::string name) { return {id, std::move(name), pascal_color(id), false}; }
 
-std::uint8_t color_value(const std::string& text, const std::string& place) {
-  std::int64_t value = 0;
-  if (!parse_whole(text, value) || value < 0 || value > 255)
-    refuse("classes.label_map.color", place, "expected a colour value from 0 to 255, got '" + text + "'", kCvatRemedy);
-  return static_cast<std::uint8_t>(value);
-}
-
+// Of "r,g,b".
 std::array<std::uint8_t, 3> color_of(const std::string& text, const std::string& place) {
-  const std::size_t first = text.find(','), second = text.find(',', first + 1);
-  if (first == std::string::npos || second == std::string::npos)
+  std::array<std::uint8_t, 3> out{};
+  std::size_t at = 0;
+  if (std::count(text.begin(), text.end(), ',') < 2)
     refuse("classes.label_map.color", place, "expected a colour 'r,g,b', got '" + text + "'", kCvatRemedy);
-  return {color_value(text.substr(0, first), place), color_value(text.substr(first + 1, second - first - 1), place),
-          color_value(text.substr(second + 1), place)};
+  for (std::uint8_t& channel : out) {
+    const std::size_t end = &channel == &out[2] ? text.size() : text.find(',', at);
+    const std::string one = text.substr(at, end - at);
+    std::int32_t value = 0;
+    if (!parse_int(one, value, 0, 255))
+      refuse("classes.label_map.color", place, "expected a colour value from 0 to 255, got '" + one + "'", kCvatRemedy);
+    channel = static_cast<std::uint8_t>(value);
+    at = end + 1;
+  }
+  return out;
 }
 
 }  // namespace
@@ -501,11 +492,14 @@ std::vector<std::string> published_class_names() { return {"nyu13", "nyu40", "sc
 ClassTable published_classes(const std::string& name) {
   std::vector<ClassEntry> entries;
   if (name == "nyu13" || name == "nyu40") {
-    const std::span<const std::string_view> names =
-        name == "nyu13" ? std::span<const std::string_view>(kNyu13) : kNyu40;
-    for (std::int32_t id = 1; id <= std::ssize(names); ++id) entries.push_back(pascal_entry(id, name_in(names, id)));
+    const std::string_view names = name == "nyu13" ? kNyu13 : kNyu40;
+    for (std::int32_t id = 1; id <= std::ssize(words_of(names)); ++id)
+      entries.push_back(pascal_entry(id, name_in(names, id)));
   } else if (name == "scannet20") {
-    for (const ScannetClass& c : kScannet20) entries.push_back({c.nyu40, name_in(kNyu40, c.nyu40), c.color, false});
+    for (const auto& [id, rgb] : kScannet20) {
+      const auto channel = [color = rgb](int shift) { return static_cast<std::uint8_t>(color >> shift); };
+      entries.push_back({id, name_in(kNyu40, id), {channel(16), channel(8), channel(0)}, false});
+    }
   } else {
     throw Error(ErrorKind::usage, "classes.published.unknown", "no published class table '" + name + "'",
                 "there are " + join(published_class_names()));
@@ -611,15 +605,15 @@ std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
     damaged(header.place, "neither a column 'nyu40id' nor a column 'eigen13id'");
 
   // 0 of an empty field, and without the column.
-  const auto number_at = [&](const TextRow& row, const char* name, std::int64_t highest) {
+  const auto number_at = [&](const TextRow& row, const char* name, std::int32_t highest) {
     const std::size_t at = column(name);
     const std::string text = at < columns ? row.fields[at] : "";
-    std::int64_t value = 0;
-    if (!text.empty() && (!parse_whole(text, value) || value < 0 || value > highest))
+    std::int32_t value = 0;
+    if (!text.empty() && !parse_int(text, value, 0, highest))
       refuse("classes.tsv.damaged", row.place,
-             std::string(name) + ": expected a number from 0 to " + std::to_string(highest) + ", got '" + text + "'",
+             fmt::format("{}: expected a number from 0 to {}, got '{}'", name, highest, text),
              "restore the table as ScanNet distributes it");
-    return static_cast<std::int32_t>(value);
+    return value;
   };
   std::vector<ScannetLabel> labels;
   std::unordered_map<std::int32_t, std::size_t> seen;
@@ -629,7 +623,7 @@ std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
       damaged(row.place,
               std::to_string(row.fields.size()) + " columns, the first line names " + std::to_string(columns));
     if (row.fields[column("id")].empty()) damaged(row.place, "the row has no id");
-    ScannetLabel label{number_at(row, "id", 65535), row.fields[column("raw_category")], number_at(row, "nyu40id", 40),
+    ScannetLabel label{number_at(row, "id", kMaxId), row.fields[column("raw_category")], number_at(row, "nyu40id", 40),
                        number_at(row, "eigen13id", 13)};
     const auto [first, fresh] = seen.emplace(label.id, labels.size());
     if (!fresh) {

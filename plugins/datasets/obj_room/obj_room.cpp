@@ -14,7 +14,7 @@
 #include "core/rng.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "plugin/module.h"
-#include "scene/camera_path.h"
+#include "scene/camera.h"
 #include "system/files.h"
 
 namespace semfield {

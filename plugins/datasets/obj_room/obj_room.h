@@ -11,7 +11,7 @@
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/mesh_render.h"
 #include "plugin/dataset.h"
-#include "scene/camera_path.h"
+#include "scene/camera.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {

@@ -10,7 +10,7 @@
 #include "datasets/obj_room/obj_room.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "formats/image_io.h"
-#include "scene/camera_path.h"
+#include "scene/camera.h"
 
 namespace semfield {
 namespace {
