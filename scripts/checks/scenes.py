@@ -155,35 +155,20 @@ called again."""
 DEPTH_SHIFT_M, DEPTH_TURN_DEG = 0.024, 0.9
 
 
-def shake(scene, poses, lens):
+def shaken(poses):
     """Every pose turned and shifted by the noise, about and along random axes."""
-    draw = random.Random(1)
-    for pose in poses:
+    draw, out = random.Random(1), poses.copy()
+    for pose in out:
         axis, shift = (np.array([draw.gauss(0, 1) for _ in range(3)]) for _ in range(2))
         pose[:3, :3] = pose[:3, :3] @ turn(axis, 1)
         pose[:3, 3] += 0.02 * shift / np.linalg.norm(shift)
+    return out
 
 
-def lengthen(scene, poses, lens):
-    lens[2:4] *= 1.1
-
-
-def shift_centre(scene, poses, lens):
-    lens[4] += 30
-
-
-def delay(scene, poses, lens):
-    poses[:-1] = poses[1:].copy()
-
-
-def flip_axes(scene, poses, lens):
-    poses[:, :, 1:3] *= -1
-
-
-def move_depth(scene, poses, lens):
+def move_depth(scene):
     """Depth as a camera next to the colours' sees it, with the colours' lens: nearest points by z."""
     w, h = scene.width, scene.height
-    fx, fy, cx, cy = lens[2:]
+    fx, fy, cx, cy = scene.lens[2:]
     rotation = turn((0.2, 1, 0.1), DEPTH_TURN_DEG)
     # Every pixel as 2 x 2 points, so that no gaps open.
     v, u = (np.mgrid[0:2 * h, 0:2 * w] + 0.5) / 2
@@ -200,8 +185,11 @@ def move_depth(scene, poses, lens):
         common.write_pictures(path, np.rint(1000 * far).astype("<u2").tobytes(), w, h, "gray16le")
 
 
-WRONG = {"noise": shake, "focal": lengthen, "centre": shift_centre, "delay": delay, "axes": flip_axes,
-         "depth_camera": move_depth}
+# What is wrong with poses, and with the lens: width, height, focal lengths, centre.
+WRONG_POSES = {"noise": shaken, "delay": lambda poses: np.concatenate([poses[1:], poses[-1:]]),
+               "axes": lambda poses: poses * OPENGL}
+WRONG_LENS = {"focal": lambda lens: lens * [1, 1, 1.1, 1.1, 1, 1], "centre": lambda lens: lens + [0, 0, 0, 0, 30, 0]}
+WRONG = ("noise", "focal", "centre", "delay", "axes", "depth_camera")
 RIGHT = ("studio_room", "bonsai360", "fern", "lego", "replica_apartment0")
 # Of each real scene its name, settings of its trainings, and figures by keys of their scores.
 REAL = {
@@ -225,11 +213,12 @@ class Cameras:
         scene = Scene(self.work / "room", fresh(self.work / (wrong or "right")))
         for name in ("traj_w_c.txt", "intrinsics.txt"):
             (scene.folder / name).unlink()
-        if wrong:
-            WRONG[wrong](scene, scene.poses, scene.lens)
+        if wrong == "depth_camera":
+            move_depth(scene)
+        lens = WRONG_LENS.get(wrong, lambda lens: lens)(scene.lens)
         names = ("w", "h", "fl_x", "fl_y", "cx", "cy")
-        scene.intrinsics = dict(zip(names, [scene.width, scene.height, *scene.lens[2:].tolist()]))
-        scene.write()
+        scene.intrinsics = dict(zip(names, [scene.width, scene.height, *lens[2:].tolist()]))
+        scene.write(WRONG_POSES.get(wrong, lambda poses: poses)(scene.poses) * scene.axes)
         return scene.folder
 
     def fixed(self, scene):
