@@ -28,7 +28,6 @@
 #include <thread>
 #include <tuple>
 #include <utility>
-#include <vector>
 
 #include "core/error.h"
 #include "core/non_copyable.h"

@@ -22,7 +22,6 @@
 #include "app/signals.h"
 #include "config/config_tree.h"
 #include "core/error.h"
-#include "formats/text_rows.h"
 #include "report/report.h"
 #include "report/sweep.h"
 #include "system/files.h"
@@ -99,13 +98,8 @@ void write_if_changed(const fs::path& file, std::string_view text) {
 // Which folder holds which cell, for people, and what the processes of a sweep have in common.
 std::string index_csv(const Sweep& sweep, const std::vector<Cell>& cells) {
   std::string text = "cell,experiment,scene,variant,seed\n";
-  for (const Cell& cell : cells) {
-    for (const CellUse& use : cell.uses) {
-      const Experiment& e = sweep.experiments[use.experiment];
-      text += fmt::format("{},{},{},{},{}\n", cell.id, csv_field(e.name), csv_field(e.scenes[use.scene].name),
-                          csv_field(e.variants[use.variant].name), e.seeds[use.seed]);
-    }
-  }
+  for (const Cell& cell : cells)
+    for (const CellUse& use : cell.uses) text += cell.id + "," + use_csv(sweep, use) + "\n";
   return text;
 }
 
@@ -140,7 +134,7 @@ SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector
   const std::string own_index = index_csv(sweep_, cells_);
   int cause = at_work_.take(folder);
   if (cause == 0) {
-    begin();
+    for (const Cell& cell : cells_) forget_cell_failure(path_, cell.id);
   } else if (cause == EWOULDBLOCK) {
     beside_ = at_work_.holder();
     if (fs::exists(index) && read_text_file(index.string()) != own_index)
@@ -156,10 +150,6 @@ SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector
   // Nobody can have come between: whoever joins holds the lock of the sweep's folder.
   cause = at_work_.share(folder);
   if (cause != 0) throw write_error("lock", folder, cause);
-}
-
-void SweepFolder::begin() {
-  for (const Cell& cell : cells_) forget_cell_failure(path_, cell.id);
 }
 
 void SweepFolder::write_tables(EndedCells& ended) const {
@@ -361,7 +351,7 @@ class Pool {
     cell_gb_ = std::max(measured_ == 0 ? 0 : cell_gb_, static_cast<double>(usage.ru_maxrss) / (1 << 20));
     ++measured_;
     const Cell& cell = *child.cell;
-    CellOutcome outcome{&cell, false, {}, std::chrono::duration<double>(Clock::now() - child.start).count()};
+    CellOutcome outcome{&cell, {}, std::chrono::duration<double>(Clock::now() - child.start).count()};
     CellValues used{{"peak_mb", static_cast<double>(usage.ru_maxrss) / 1024}};
     if (!child.resumed) used.emplace_back("processor_s", seconds_of(usage.ru_utime) + seconds_of(usage.ru_stime));
     const fs::path folder = cell_folder(options_.folder, cell.id);
@@ -372,7 +362,7 @@ class Pool {
     } else {
       return;  // stopped with us
     }
-    if (!outcome.done) {
+    if (!outcome.failure.empty()) {
       write_cell_failure(options_.folder, cell.id, outcome.failure);
       ended_.failures[cell.id] = outcome.failure;
     }
@@ -395,7 +385,7 @@ class Pool {
       CellValues values = values_of(cell, folder);
       values.insert(values.end(), used.begin(), used.end());
       write_cell_result((folder / "result.json").string(), values);
-      outcome.done = notice_cell(ended_, options_.folder, cell.id);
+      (void)notice_cell(ended_, options_.folder, cell.id);
       const bool wanted = std::find(wanted_fields_.begin(), wanted_fields_.end(), cell.id) != wanted_fields_.end();
       std::error_code ignored;  // a checkpoint that stays costs disk alone
       if (!options_.keep_checkpoints && !wanted) fs::remove_all(folder / "run" / "checkpoints", ignored);

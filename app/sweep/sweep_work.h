@@ -61,7 +61,6 @@ class SweepFolder {
   void write_tables(EndedCells& ended) const;
 
  private:
-  void begin();
   std::string path_, beside_;
   const Sweep& sweep_;
   const std::vector<Cell>& cells_;
@@ -84,8 +83,7 @@ struct PoolOptions {
 
 struct CellOutcome {
   const Cell* cell = nullptr;
-  bool done = false;
-  std::string failure;  ///< the last line it said, and where the rest stands
+  std::string failure;  ///< the last line it said, and where the rest stands; "": it is done
   double seconds = 0;
 };
 

@@ -172,7 +172,7 @@ class SweepProgress {
     const std::size_t left = cells_.size() - ended.results.size() - ended.failures.size();
     const double left_s = seconds_ / static_cast<double>(ran_) * static_cast<double>(left) / at_a_time_;
     std::string what = outcome.failure;
-    if (outcome.done) {
+    if (what.empty()) {
       const std::string& metric = sweep_.experiments[cell.uses.front().experiment].metrics.front();
       for (const auto& [name, value] : ended.results.at(cell.id)) {
         if (name == metric) what = fmt::format("{} {:.3f}", metric, value);

@@ -13,7 +13,6 @@
 #include <set>
 #include <span>
 #include <string_view>
-#include <tuple>
 
 #include "config/compose.h"
 #include "config/params.h"
@@ -535,30 +534,21 @@ CellValues values_of_objects(const std::string& json) {
   return values;
 }
 
+std::string use_csv(const Sweep& sweep, const CellUse& use) {
+  const Experiment& e = sweep.experiments[use.experiment];
+  return csv_field(e.name) + "," + csv_field(e.scenes[use.scene].name) + "," + csv_field(e.variants[use.variant].name) +
+         "," + std::to_string(e.seeds[use.seed]);
+}
+
 std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results) {
-  struct Line {
-    CellUse use;
-    const Cell* cell;
-  };
-  std::vector<Line> lines;
-  for (const Cell& cell : cells) {
-    for (const CellUse& use : cell.uses) lines.push_back({use, &cell});
-  }
-  std::sort(lines.begin(), lines.end(), [](const Line& a, const Line& b) {
-    return std::tie(a.use.experiment, a.use.scene, a.use.variant, a.use.seed) <
-           std::tie(b.use.experiment, b.use.scene, b.use.variant, b.use.seed);
-  });
+  std::map<CellUse, const CellValues*> lines;
+  for (const Cell& cell : cells)
+    if (const auto found = results.find(cell.id); found != results.end())
+      for (const CellUse& use : cell.uses) lines[use] = &found->second;
   std::string out = "experiment,scene,variant,seed,metric,value\n";
-  for (const Line& line : lines) {
-    const auto found = results.find(line.cell->id);
-    if (found == results.end()) continue;
-    const Experiment& e = sweep.experiments[line.use.experiment];
-    const std::string start = csv_field(e.name) + "," + csv_field(e.scenes[line.use.scene].name) + "," +
-                              csv_field(e.variants[line.use.variant].name) + "," +
-                              std::to_string(e.seeds[line.use.seed]) + ",";
-    for (const auto& [name, value] : found->second)
-      out += start + csv_field(name) + "," + shortest_number(value) + "\n";
-  }
+  for (const auto& [use, values] : lines)
+    for (const auto& [name, value] : *values)
+      out += use_csv(sweep, use) + "," + csv_field(name) + "," + shortest_number(value) + "\n";
   return out;
 }
 

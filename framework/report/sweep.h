@@ -2,6 +2,7 @@
 // cells, their results, one file each, and the tables of them.
 #pragma once
 
+#include <compare>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -83,6 +84,7 @@ std::string sweep_schema();
 /// One figure of a table: indices into the sweep.
 struct CellUse {
   std::size_t experiment = 0, scene = 0, variant = 0, seed = 0;
+  auto operator<=>(const CellUse&) const = default;  ///< in the order of the tables
 };
 
 /// One run. Its id is a hash of all that its result depends on - the resolved configuration, what is scored, how labels
@@ -131,6 +133,8 @@ CellValues values_of_fusion(const std::string& json, const std::string& method);
 /// Figures of `semfield objects --score --json`, then its seconds as `objects_s` and, of each part, `surface_s`, ...
 CellValues values_of_objects(const std::string& json);
 
+/// "experiment,scene,variant,seed" of a figure.
+std::string use_csv(const Sweep& sweep, const CellUse& use);
 /// results.csv: experiment, scene, variant, seed, metric, value - a line for every value of every finished cell that a
 /// table uses, in the order of the sweep.
 std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results);

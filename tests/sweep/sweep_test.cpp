@@ -440,7 +440,7 @@ class CellPool : public testing::Test {
   bool run(const std::vector<Cell>& cells) {
     PoolHooks hooks{.waits_for = waits_for_};
     hooks.finished = [&](const CellOutcome& outcome) {
-      outcomes_[outcome.cell->id] = outcome.done ? "done" : outcome.failure;
+      outcomes_[outcome.cell->id] = outcome.failure.empty() ? "done" : outcome.failure;
     };
     return run_cells(cells, options_, ended_, hooks);
   }
