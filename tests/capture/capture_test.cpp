@@ -11,7 +11,7 @@
 #include "core/rng.h"
 #include "formats/image_io.h"
 #include "loading/capture/photographs.h"
-#include "loading/capture/reconstruct.h"
+#include "loading/capture/prepare.h"
 #include "loading/colmap_model.h"
 #include "scene/camera.h"
 #include "tests/program.h"

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "loading/capture/reconstruct.h"
+#include "loading/capture/prepare.h"
 #include "scene/scene.h"
 #include "scene/survey/bundle.h"
 

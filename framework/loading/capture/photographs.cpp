@@ -46,6 +46,12 @@ std::string log_text(const std::string& log) {
   }
 }
 
+std::vector<std::string> all_words(std::initializer_list<std::vector<std::string>> lists) {
+  std::vector<std::string> out;
+  for (const std::vector<std::string>& list : lists) out.insert(out.end(), list.begin(), list.end());
+  return out;
+}
+
 namespace {
 
 // The last lines of a log that say something, at most `most` of them, joined by " | ".
@@ -70,9 +76,7 @@ void require_disk(const fs::path& folder) {
 }  // namespace
 
 void run_program(const Programs& programs, const std::string& name, const ProgramRun& run) {
-  std::vector<std::string> words{program_file(programs, name)};
-  words.insert(words.end(), run.words.begin(), run.words.end());
-  const int code = programs.run(words, run.log, run.tick);
+  const int code = programs.run(all_words({{program_file(programs, name)}, run.words}), run.log, run.tick);
   require_disk(fs::path(run.log).parent_path());
   if (code == 0) return;
   const std::string said = last_lines(run.log, 3);
@@ -364,14 +368,13 @@ std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& p
                                      "1", (fs::path(cut.to) / out.back()).string()});
     }
     // One image of this name, whatever the name looks like: with '%' it might be a pattern of many.
-    std::vector<std::string> words = word_list("-v error -nostdin -y -f image2 -pattern_type none -c:v");
-    words.insert(words.end(),
-                 {decoder_of(panorama.string()), "-i", panorama.string(), "-filter_complex", split + bend});
-    words.insert(words.end(), outputs.begin(), outputs.end());
-    run_program(programs, "ffmpeg",
-                {.words = std::move(words),
-                 .log = (fs::path(cut.logs) / "ffmpeg_views.txt").string(),
-                 .remedy = "check that the image can be opened; ffmpeg 5 is known to take these words"});
+    run_program(
+        programs, "ffmpeg",
+        {.words = all_words({word_list("-v error -nostdin -y -f image2 -pattern_type none -c:v"),
+                             {decoder_of(panorama.string()), "-i", panorama.string(), "-filter_complex", split + bend},
+                             outputs}),
+         .log = (fs::path(cut.logs) / "ffmpeg_views.txt").string(),
+         .remedy = "check that the image can be opened; ffmpeg 5 is known to take these words"});
   }
   return out;
 }
@@ -410,12 +413,10 @@ std::vector<std::string> film_words(const std::string& video) {
 
 double seconds_of(const std::string& video, const std::string& log, const Programs& programs) {
   const std::string remedy = "check that the file plays, or convert it: ffmpeg -i " + shell_word(video) + " video.mp4";
-  std::vector<std::string> words =
-      word_list("-v error -select_streams v:0 -show_entries stream=codec_type:format=duration -of json");
-  const std::vector<std::string> film = film_words(video);
-  words.insert(words.end(), film.begin(), film.end());
+  const std::string asked = "-v error -select_streams v:0 -show_entries stream=codec_type:format=duration -of json";
   try {
-    run_program(programs, "ffprobe", {.words = words, .log = log, .remedy = remedy});
+    run_program(programs, "ffprobe",
+                {.words = all_words({word_list(asked), film_words(video)}), .log = log, .remedy = remedy});
   } catch (const Error&) {
     // Since version 7 ffmpeg calls a playlist with another ending invalid, and names no whitelist.
     std::string begin(7, ' ');
@@ -466,10 +467,7 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
     return unknown ? 0.0 : static_cast<double>(bytes);
   };
   const auto words_of_film = [&](const std::vector<std::string>& more) {
-    std::vector<std::string> words{"-v", "error", "-nostdin", "-y"};
-    for (const std::vector<std::string>& part : {film_words(cut.video), more})
-      words.insert(words.end(), part.begin(), part.end());
-    return words;
+    return all_words({word_list("-v error -nostdin -y"), film_words(cut.video), more});
   };
   run_program(programs, "ffmpeg",
               {.words = words_of_film(

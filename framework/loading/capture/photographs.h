@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <initializer_list>
 #include <span>
 #include <string>
 #include <vector>
@@ -47,6 +48,8 @@ void run_program(const Programs& programs, const std::string& name, const Progra
 
 /// All of a log; "" while there is none.
 std::string log_text(const std::string& log);
+/// The words of several lists as one.
+std::vector<std::string> all_words(std::initializer_list<std::vector<std::string>> lists);
 
 struct Photograph {
   std::string path;

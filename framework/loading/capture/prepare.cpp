@@ -3,15 +3,23 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cerrno>
+#include <cmath>
 #include <filesystem>
 #include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
+#include <string>
+#include <unordered_set>
+#include <vector>
 
 #include "compute/parallel.h"
+#include "core/error.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/capture/photographs.h"
-#include "loading/capture/reconstruct.h"
+#include "loading/colmap_model.h"
 #include "scene/survey/bundle.h"
 #include "system/checksum.h"
 #include "system/files.h"
@@ -19,6 +27,585 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+PrepareState::PrepareState(std::string file, std::string identity)
+    : file_(std::move(file)), identity_(std::move(identity)) {
+  if (!std::filesystem::exists(file_)) {
+    write();
+    return;
+  }
+  const Json root = Json::parse(read_text_file(file_), nullptr, false);
+  const bool ours = root.is_object() && root.contains("made_from") && root["made_from"] == identity_ &&
+                    root.contains("steps") && root["steps"].is_object();
+  if (!ours) {
+    throw Error(ErrorKind::cannot_create, "capture.scene.other",
+                "the scene of '" + file_ + "' was begun from other photographs or with other options",
+                "name another folder with --out, or remove this one");
+  }
+  for (const auto& [step, found] : root["steps"].items())
+    steps_.emplace_back(step, found.is_string() ? found.get<std::string>() : "");
+}
+
+const std::string* PrepareState::done(const std::string& step) const {
+  for (const auto& [name, found] : steps_) {
+    if (name == step) return &found;
+  }
+  return nullptr;
+}
+
+std::vector<std::string> PrepareState::lines(const std::string& step) const {
+  std::vector<std::string> out;
+  const std::string* const found = done(step);
+  std::string_view rest = found == nullptr ? std::string_view() : *found;
+  for (std::string_view line; next_line(rest, line);) out.emplace_back(line);
+  return out;
+}
+
+void PrepareState::mark(const std::string& step, const std::string& found) {
+  std::erase_if(steps_, [&](const auto& one) { return one.first == step; });
+  steps_.emplace_back(step, found);
+  write();
+}
+
+void PrepareState::forget(const std::string& step) {
+  if (std::erase_if(steps_, [&](const auto& one) { return one.first == step; }) > 0) write();
+}
+
+void PrepareState::write() const {
+  Json steps = Json::object();
+  for (const auto& [step, found] : steps_) steps[step] = found;
+  write_file_atomic(
+      file_,
+      Json{{"made_from", identity_}, {"steps", steps}}.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prepare") {
+  std::error_code unknown;
+  if (is_there(scene) && !is_there(prepare_) && !fs::is_empty(scene, unknown)) {
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
+                "name another folder with --out");
+  }
+  create_folders(logs());
+  create_folders(work());
+  if (const int cause = lock_.take(prepare_); cause == EWOULDBLOCK)
+    throw Error(ErrorKind::cannot_create, "capture.scene.busy", lock_.holder() + " prepares '" + scene + "'",
+                "wait until it has ended");
+  else if (cause != 0)
+    throw write_error("lock", prepare_, cause);
+}
+
+PrepareState PrepareFolder::steps(const std::string& text) const {
+  Sha256 sum;
+  sum.add(std::as_bytes(std::span<const char>(text)));
+  return {prepare_ + "/steps.json", sum.hex()};
+}
+
+std::vector<Pair> all_pairs(std::size_t count) {
+  std::vector<Pair> out;
+  for (std::size_t apart = 1; apart < count; ++apart) {
+    for (std::size_t i = 0; i + apart < count; ++i) out.emplace_back(i, i + apart);
+  }
+  return out;
+}
+
+std::vector<Pair> pairs_in_order(std::size_t count) {
+  constexpr std::size_t kBehind = 10, kSpread = 50;
+  std::vector<Pair> out;
+  std::set<Pair> seen;
+  const auto add = [&](std::size_t i, std::size_t j) {
+    if (j < count && seen.emplace(i, j).second) out.emplace_back(i, j);
+  };
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t k = 1; k <= kBehind; ++k) add(i, i + k);
+    for (std::size_t k = 16; k < count; k *= 2) add(i, i + k);
+  }
+  const std::size_t spread = std::min(count, kSpread);
+  for (const auto& [i, j] : all_pairs(spread)) add(i * count / spread, j * count / spread);
+  return out;
+}
+
+double last_number_after(const std::string& text, const std::string& before) {
+  const std::size_t at = text.rfind(before);
+  if (at == std::string::npos) return 0;
+  const std::size_t first = at + before.size();
+  std::size_t end = first;
+  while (end < text.size() && is_digit(text[end])) ++end;
+  double value = 0;
+  return parse_number(std::string_view(text).substr(first, end - first), value) ? value : 0;
+}
+
+// What is asked of an image that joins: one at a wrong place does more harm than one without, and things that repeat
+// look alike.
+const std::vector<std::string> kStrict = word_list(
+    "--Mapper.min_num_matches 30 --Mapper.abs_pose_min_num_inliers 60 --Mapper.abs_pose_min_inlier_ratio 0.4");
+const std::vector<std::string> kRelaxed = word_list(
+    "--Mapper.init_min_num_inliers 50 --Mapper.init_min_tri_angle 8 --Mapper.abs_pose_min_num_inliers 15 "
+    "--Mapper.abs_pose_min_inlier_ratio 0.15 --Mapper.min_num_matches 10");
+
+std::string ColmapSteps::database(const FeatureSettings& settings) const {
+  return (fs::path(work_) / (settings.name + ".db")).string();
+}
+
+std::string ColmapSteps::log(const std::string& name) const { return (fs::path(logs_) / (name + ".txt")).string(); }
+
+void ColmapSteps::run(std::vector<std::string> words, const std::string& log, const CaptureStep& step,
+                      const std::function<double()>& done, std::size_t total) const {
+  run_program(programs_, "colmap", {.words = std::move(words), .log = log, .tick = [&] {
+                                      progress_(step, done(), static_cast<double>(total));
+                                    }});
+}
+
+void ColmapSteps::extract(const FeatureSettings& s, bool camera_per_folder, std::size_t images) const {
+  const std::string file = log("features_" + s.name);
+  for (const char* end : {"", "-wal", "-shm", "-journal"}) fs::remove(database(s) + end);
+  const std::vector<std::string> settings = word_list(fmt::format(
+      "--ImageReader.camera_model {} --ImageReader.default_focal_length_factor {:g} --ImageReader.single_camera{} 1 "
+      "--SiftExtraction.use_gpu 0 --SiftExtraction.num_threads {} --SiftExtraction.max_image_size {} "
+      "--SiftExtraction.max_num_features {} --SiftExtraction.max_num_orientations {} --SiftExtraction.peak_threshold "
+      "{:f}",
+      s.lens, s.focal, camera_per_folder ? "_per_folder" : "", threads_, s.size_px, s.features, s.orientations,
+      s.contrast));
+  run(
+      all_words({{"feature_extractor", "--database_path", database(s), "--image_path", images_}, settings}), file,
+      {"finding features of", "photographs"}, [&] { return last_number_after(log_text(file), "Processed file ["); },
+      images);
+}
+
+// In parts: each is in the database when its call has ended, and its end is known.
+void ColmapSteps::match(const FeatureSettings& s, const std::vector<std::string>& names,
+                        const std::vector<Pair>& pairs) const {
+  constexpr std::size_t kPart = 100;
+  const std::string list = (fs::path(work_) / "pairs.txt").string();
+  for (std::size_t first = 0; first < pairs.size(); first += kPart) {
+    std::string text;
+    for (std::size_t i = first; i < std::min(pairs.size(), first + kPart); ++i)
+      text += names[pairs[i].first] + " " + names[pairs[i].second] + "\n";
+    write_file_atomic(list, text);
+    progress_({"matching", "pairs"}, static_cast<double>(first), static_cast<double>(pairs.size()));
+    run(
+        {"matches_importer", "--database_path", database(s), "--match_list_path", list, "--match_type", "pairs",
+         "--SiftMatching.use_gpu", "0", "--SiftMatching.num_threads", std::to_string(threads_)},
+        log("matches_" + s.name), {"matching", "pairs"}, [&] { return static_cast<double>(first); }, pairs.size());
+  }
+}
+
+void ColmapSteps::need_matches(const FeatureSettings& s, const std::vector<std::string>& names, bool camera_per_folder,
+                               const std::function<std::vector<Pair>()>& pairs, PrepareState& state,
+                               const std::string& suffix) const {
+  const std::string features = "features" + suffix, matches = "matches" + suffix;
+  if (!fs::exists(database(s))) {
+    state.forget(features);
+    state.forget(matches);
+  }
+  if (state.done(features) == nullptr) {
+    extract(s, camera_per_folder, names.size());
+    state.mark(features);
+  }
+  if (state.done(matches) == nullptr) {
+    match(s, names, pairs());
+    state.mark(matches);
+  }
+}
+
+std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed, std::size_t images) const {
+  const std::string name = s.name + (relaxed ? "_relaxed" : ""), file = log("models_" + name);
+  const fs::path folder = fs::path(work_) / ("models_" + name);
+  fs::remove_all(folder);
+  create_folders(folder.string());
+  // All is adjusted at the end once more, so less often on the way.
+  const std::vector<std::string> usual =
+      word_list(fmt::format("--Mapper.num_threads {} --Mapper.max_num_models 10 --Mapper.min_model_size {} "
+                            "--Mapper.ba_global_max_num_iterations 20 --Mapper.ba_global_images_ratio 1.4 "
+                            "--Mapper.ba_global_points_ratio 1.4",
+                            threads_, std::clamp<std::size_t>(images / 3, 3, 10)));
+  const auto registered = [&] {
+    const std::string text = log_text(file);
+    const std::size_t at = text.rfind("Registering image #");
+    return at == std::string::npos ? 0 : last_number_after(text.substr(at), " (");
+  };
+  try {
+    run(all_words(
+            {{"mapper", "--database_path", database(s), "--image_path", images_, "--output_path", folder.string()},
+             usual,
+             relaxed ? kRelaxed : kStrict}),
+        file, {"finding poses of", "photographs"}, registered, images);
+  } catch (const Error& e) {
+    // So ends a mapper that finds no two images to begin with.
+    if (e.kind() != ErrorKind::failure || log_text(file).find("sparse model") == std::string::npos) throw;
+  }
+  std::vector<std::string> out;
+  for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
+    if (fs::exists(entry.path() / "images.bin")) out.push_back(entry.path().string());
+  }
+  return out;
+}
+
+// A program that makes one model of another.
+void ColmapSteps::model_step(const std::string& name, const std::string& from, const std::string& to,
+                             std::vector<std::string> words) const {
+  fs::remove_all(to);
+  create_folders(to);
+  words.insert(words.end(), {"--input_path", from, "--output_path", to});
+  const CaptureStep step{"adjusting all poses,", "passes"};
+  progress_(step, 0, 1);
+  run(
+      std::move(words), log(name), step, [] { return 0.0; }, 1);
+}
+
+namespace {
+
+constexpr double kEnough = 0.95;
+constexpr double kMostErrorPx = 1.1;  // a lens that fits leaves 0.5 to 1.05 (docs/evidence/capture.md)
+constexpr double kMostBend = 0.15;
+constexpr std::size_t kMostForAllPairs = 150;
+
+struct Attempt {
+  FeatureSettings features;
+  bool relaxed;
+  bool patient;  // all pairs of a film too
+};
+
+// A fisheye whose image holds a half sphere from corner to corner has a focal length of a third of its diagonal.
+constexpr double kPhotographFocal = 1.2, kFisheyeFocal = 0.4, kViewFocal = 0.5;
+
+std::vector<Attempt> ladder(LensAsked asked) {
+  const auto quick = [](const char* name, const char* lens, double focal) {
+    return FeatureSettings{name, lens, focal, 1024, 2048, 1, 0.0067};
+  };
+  const auto patient = [](const char* name, const char* lens, double focal) {
+    return FeatureSettings{name, lens, focal, 1600, 6144, 2, 0.004};
+  };
+  const auto steps = [](const FeatureSettings& first, const FeatureSettings& last) {
+    return std::vector<Attempt>{{first, false, false}, {first, true, false}, {last, true, true}};
+  };
+  const FeatureSettings wide = patient("fisheye", "OPENCV_FISHEYE", kFisheyeFocal);
+  if (asked == LensAsked::fisheye) return steps(quick("fisheye_quick", "OPENCV_FISHEYE", kFisheyeFocal), wide);
+  if (asked == LensAsked::equirectangular)
+    return steps(quick("views_quick", "SIMPLE_PINHOLE", kViewFocal), patient("views", "SIMPLE_PINHOLE", kViewFocal));
+  std::vector<Attempt> all =
+      steps(quick("quick", "SIMPLE_RADIAL", kPhotographFocal), patient("patient", "OPENCV", kPhotographFocal));
+  all.push_back({wide, true, true});
+  return all;
+}
+
+// How much nearer to the middle than without distortion a lens shows what lies at the left or the upper border of its
+// image: 0.01 to 0.05 of photographs, 0.3 of a fisheye of 140 degrees that is taken for an OPENCV lens.
+double border_bend(const Camera& camera) {
+  const auto bend = [](Vec3d ray, double across, double pixels) {
+    return ray.z > 0 ? std::abs(1 - std::abs(pixels * ray.z / across)) : 1;  // no ray: beyond the lens
+  };
+  const Vec3d left = camera.direction(0, camera.cy), top = camera.direction(camera.cx, 0);
+  return std::max(bend(left, left.x, camera.cx / camera.fx), bend(top, top.y, camera.cy / camera.fy));
+}
+
+FoundModel model_in(const std::string& folder) {
+  Diagnostics unread;
+  const ColmapModel model = read_colmap_model(folder, unread);
+  unread.throw_if_errors(ErrorKind::data, "COLMAP's model has problems:");
+  FoundModel out;
+  out.folder = folder;
+  out.points = model.points.size();
+  out.error_px = model.error_px;
+  for (const ColmapImage& image : model.images) out.images.push_back(image.name);
+  for (const auto& [id, camera] : model.cameras)
+    out.bent = out.bent || (!camera.is_wide() && border_bend(camera) > kMostBend);
+  return out;
+}
+
+bool has_enough(const FoundModel& model, std::size_t count) {
+  return static_cast<double>(model.images.size()) >= kEnough * static_cast<double>(count);
+}
+// A lens that does not fit gives wrong poses to every image.
+bool is_enough(const FoundModel& model, std::size_t count) {
+  return has_enough(model, count) && model.error_px <= kMostErrorPx && !model.bent;
+}
+
+bool is_better(const FoundModel& a, const FoundModel& b, std::size_t count) {
+  if (is_enough(a, count) != is_enough(b, count)) return is_enough(a, count);
+  if (a.images.size() != b.images.size()) return a.images.size() > b.images.size();
+  return a.error_px < b.error_px;
+}
+
+std::vector<Pair> pairs_of(const ReconstructTask& task, bool patient) {
+  const std::size_t count = task.names.size();
+  const bool few = count <= kMostForAllPairs;
+  return few && (patient || !task.in_order) ? all_pairs(count) : pairs_in_order(count);
+}
+
+void need_matches(const Attempt& attempt, const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
+  colmap.need_matches(
+      attempt.features, task.names, task.camera_per_folder, [&] { return pairs_of(task, attempt.patient); }, state,
+      " " + attempt.features.name);
+}
+
+// Models of one attempt, the best first.
+std::vector<FoundModel> models_of(const Attempt& attempt, const ReconstructTask& task, const ColmapSteps& colmap,
+                                  PrepareState& state) {
+  const FeatureSettings& s = attempt.features;
+  const std::string name = "models " + s.name + (attempt.relaxed ? " relaxed" : "");
+  if (state.done(name) == nullptr) {
+    need_matches(attempt, task, colmap, state);
+    std::string folders;
+    for (const std::string& folder : colmap.map(s, attempt.relaxed, task.names.size())) folders += folder + "\n";
+    state.mark(name, folders);
+  }
+  std::vector<FoundModel> out;
+  for (const std::string& folder : state.lines(name)) out.push_back(model_in(folder));
+  std::stable_sort(out.begin(), out.end(),
+                   [&](const FoundModel& a, const FoundModel& b) { return is_better(a, b, task.names.size()); });
+  return out;
+}
+
+constexpr double kRounds[] = {3, 2, 2};  // times the mean error
+constexpr std::size_t kMostTorn = 3;     // of which one of the images may be torn; more are no outliers
+
+ColmapModel read_known(const std::string& folder) {
+  Diagnostics known;  // said when the model was found
+  return read_colmap_model(folder, known);
+}
+
+// The model `from` with OPENCV lenses or fisheyes, into `to`.
+void free_lenses(const std::string& from, const std::string& to) {
+  fs::remove_all(to);
+  create_folders(to);
+  write_file_atomic((fs::path(to) / "cameras.bin").string(), colmap_cameras_file(read_known(from).cameras));
+  for (const char* name : {"images.bin", "points3D.bin"}) fs::copy_file(fs::path(from) / name, fs::path(to) / name);
+}
+
+// A mapper ends with observations that are wrong among those that are right, and least squares [Schonberger16] weighs
+// the wrong ones most. So torn_images() are placed anew among the points of the others, misplaced_images() are left
+// out, lenses become OPENCV ones or fisheyes, and three times what misses its point by more than 3, 2 and 2 times the
+// mean error is left out and all else adjusted. Models on the way lie in the task's folder, in which "refined" is the
+// last. Returns the names of the misplaced images.
+std::vector<std::string> settle_model(const std::string& model, const FeatureSettings& features,
+                                      const ReconstructTask& task, const ColmapSteps& colmap) {
+  const auto at = [&](const char* name) { return (fs::path(task.work) / name).string(); };
+  // The model `from` without what misses its point by over `most_px` pixels; its errors are those that are left.
+  const auto filter = [&](const std::string& from, double most_px, const char* to) {
+    colmap.model_step("filtered", from, at(to),
+                      {"point_filtering", "--max_reproj_error", fmt::format("{:g}", most_px)});
+  };
+  const auto remove = [&](const std::string& from, const std::vector<std::string>& names, const char* to) {
+    const std::string list = at("removed.txt");
+    write_file_atomic(list, join(names, "\n") + "\n");
+    colmap.model_step("removed", from, at(to), {"image_deleter", "--image_names_path", list});
+  };
+  std::string current = model;
+  const ColmapModel found = read_known(current);
+  filter(current, kRounds[0] * found.error_px, "filtered");
+  const std::vector<std::string> torn = torn_images(found, read_known(at("filtered")));
+  if (!torn.empty() && kMostTorn * torn.size() <= found.images.size()) {
+    remove(at("filtered"), torn, "sound");
+    // Images of the database without a pose get one among the points of the others, where enough of these say so.
+    colmap.model_step("placed", at("sound"), current = at("placed"),
+                      all_words({{"image_registrator", "--database_path", colmap.database(features)}, kStrict}));
+  }
+  const std::vector<std::string> misplaced = misplaced_images(read_known(current), task.names);
+  if (!misplaced.empty()) {
+    remove(current, misplaced, "kept");
+    current = at("kept");
+  }
+  free_lenses(current, at("refined"));
+  for (const double times : kRounds) {
+    const double most_px = times * read_known(at("refined")).error_px;
+    filter(at("refined"), most_px, "filtered");
+    // The errors in its files stay those of the model before.
+    colmap.model_step("adjusted", at("filtered"), at("adjusted"), {"bundle_adjuster"});
+    filter(at("adjusted"), most_px, "refined");
+  }
+  return misplaced;
+}
+
+// "photographs 12 to 19 (a.jpg to h.jpg)".
+std::string range_text(const std::vector<std::string>& names, std::size_t first, std::size_t last) {
+  if (first == last) return "photograph " + std::to_string(first + 1) + " (" + names[first] + ")";
+  return "photographs " + std::to_string(first + 1) + " to " + std::to_string(last + 1) + " (" + names[first] + " to " +
+         names[last] + ")";
+}
+
+// What is said before an attempt that follows another.
+std::string next_attempt(const Reconstruction& found, std::size_t count) {
+  std::string said = fmt::format("{} of {} photographs have a pose", found.best.images.size(), count);
+  if (has_enough(found.best, count) && found.best.bent)
+    said += ", but the lens bends borders as a fisheye does";
+  else if (has_enough(found.best, count))
+    said += fmt::format(", but the lens misses their points by {:.2f} pixels", found.best.error_px);
+  return said +
+         fmt::format("; attempt {0} takes longer. To do without, stop and give the same command with --attempts {1}",
+                     found.attempts, found.attempts - 1);
+}
+
+}  // namespace
+
+Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
+  Reconstruction out;
+  double earlier = 0;  // attempts of an earlier call, whose best model has been refined
+  if (const std::string* refined = state.done("refined")) (void)parse_number(*refined, earlier);
+  const double asked = task.attempts > 0 ? task.attempts : earlier > 0 ? earlier : kMostAttempts;
+  const double most = std::max(asked, earlier);
+  const std::size_t count = task.names.size();
+  const std::vector<Attempt> attempts = ladder(task.lens);
+  const Attempt* best = nullptr;  // which made the best model
+  bool is_new = false;
+  for (const Attempt& attempt : attempts) {
+    if (out.attempts >= most || is_enough(out.best, count)) break;
+    if (has_enough(out.best, count) && !attempt.patient) continue;  // it asks less of images, and none are missing
+    if (out.attempts++ > 0 && out.attempts > earlier) task.note(next_attempt(out, count));
+    std::vector<FoundModel> models = models_of(attempt, task, colmap, state);
+    if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best, count))) continue;
+    out.best = std::move(models.front());
+    best = &attempt;
+    is_new = out.attempts > earlier;
+    models.erase(models.begin());
+    out.others = std::move(models);
+  }
+  if (out.best.images.size() < 3) {
+    throw Error(ErrorKind::data, "capture.poses.none",
+                "COLMAP found no poses: no " + std::string(out.best.images.empty() ? "two" : "three") + " of the " +
+                    std::to_string(task.names.size()) + " photographs share enough of what they show, in " +
+                    std::to_string(out.attempts) + " attempts",
+                "take more photographs, each showing two thirds of what the one before shows, sharp, of things with "
+                "texture, and walk rather than turn on the spot");
+  }
+  if (is_new) {
+    state.forget("refined");
+    need_matches(*best, task, colmap, state);
+    state.mark("misplaced", join(settle_model(out.best.folder, best->features, task, colmap), "\n"));
+  }
+  if (out.attempts > earlier) state.mark("refined", std::to_string(out.attempts));
+  out.misplaced = state.lines("misplaced");
+  out.best = model_in((fs::path(task.work) / "refined").string());
+  return out;
+}
+
+std::vector<Missing> missing_images(const std::vector<std::string>& names, const Reconstruction& found,
+                                    const std::vector<std::string>& blurred) {
+  const std::set<std::string> posed(found.best.images.begin(), found.best.images.end()),
+      unsharp(blurred.begin(), blurred.end());
+  const std::set<std::string> misplaced(found.misplaced.begin(), found.misplaced.end());
+  std::set<std::string> elsewhere;
+  for (const FoundModel& other : found.others) elsewhere.insert(other.images.begin(), other.images.end());
+  enum class Why { has_pose, is_misplaced, is_blurred, fits_others, stands_alone };
+  const auto why = [&](const std::string& name) {
+    if (posed.contains(name)) return Why::has_pose;
+    if (misplaced.contains(name)) return Why::is_misplaced;
+    if (unsharp.contains(name)) return Why::is_blurred;
+    return elsewhere.contains(name) ? Why::fits_others : Why::stands_alone;
+  };
+  std::vector<Missing> out;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const Why cause = why(names[i]);
+    if (cause == Why::has_pose) continue;
+    std::size_t last = i;
+    while (last + 1 < names.size() && why(names[last + 1]) == cause) ++last;
+    std::string between = "take some between";
+    if (i > 0 && last + 1 < names.size())
+      between += " photographs " + std::to_string(i) + " and " + std::to_string(last + 2);
+    else
+      between += " them and the others";
+    const bool one = i == last;
+    std::string text = range_text(names, i, last);
+    if (cause == Why::is_misplaced) {
+      text += std::string(one ? " was" : " were") + " placed far from the photographs before and after " +
+              (one ? "it" : "them") + ", at something that looks the same, and " + (one ? "is" : "are") +
+              " left out: " + between;
+    } else if (cause == Why::is_blurred) {
+      text += std::string(one ? " is" : " are") + " blurred: take " + (one ? "it" : "them") +
+              " again, standing still or with more light";
+    } else if (cause == Why::fits_others) {
+      text += " fit" + std::string(one ? "s" : "") + " others that are missing, but not the rest: " + between +
+              ", or prepare another place as a scene of its own";
+    } else {
+      text += " share" + std::string(one ? "s" : "") + " too little with the others: " + between;
+    }
+    out.push_back({i, last, std::move(text)});
+    i = last;
+  }
+  return out;
+}
+
+namespace {
+
+constexpr std::size_t kLongestRun = 3;
+constexpr double kJump = 5;              // times the way between neighbours
+constexpr std::size_t kNeighbours = 30;  // points that the photographs around it share, at least
+constexpr double kFew = 0.05;            // of these, or else of its own, shared with it
+constexpr double kLeft = 0.6;            // of its points, in an image that fits them; blurred ones keep 0.7
+constexpr double kWeak = 0.5;            // of the usual number of points, seen in an image that is hardly held
+
+class Shares {
+ public:
+  explicit Shares(const std::vector<const ColmapImage*>& images) {
+    for (const ColmapImage* image : images) points_.emplace_back(image->points.begin(), image->points.end());
+  }
+  std::size_t count(std::size_t image) const { return points_[image].size(); }
+  std::size_t of(std::size_t a, std::size_t b) const {
+    const auto& [few, many] =
+        points_[a].size() < points_[b].size() ? std::tie(points_[a], points_[b]) : std::tie(points_[b], points_[a]);
+    return static_cast<std::size_t>(
+        std::count_if(few.begin(), few.end(), [&many = many](std::int64_t id) { return many.contains(id); }));
+  }
+
+ private:
+  std::vector<std::unordered_set<std::int64_t>> points_;
+};
+
+}  // namespace
+
+std::vector<std::string> misplaced_images(const ColmapModel& model, const std::vector<std::string>& names) {
+  std::map<std::string, const ColmapImage*> by_name;
+  for (const ColmapImage& image : model.images) by_name[image.name] = &image;
+  std::vector<const ColmapImage*> images;  // with a pose, in the order in which they were taken
+  for (const std::string& name : names) {
+    if (const auto found = by_name.find(name); found != by_name.end()) images.push_back(found->second);
+  }
+  std::vector<std::string> out;
+  if (images.size() < 2 * kLongestRun) return out;
+  const auto apart = [&](std::size_t a, std::size_t b) {
+    return length(images[a]->world_from_camera.t - images[b]->world_from_camera.t);
+  };
+  const Shares shares(images);
+  std::vector<double> steps, seen;
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    if (i > 0) steps.push_back(apart(i - 1, i));
+    seen.push_back(static_cast<double>(shares.count(i)));
+  }
+  const double usual_step = median_of(steps), usual_count = median_of(seen);
+  for (std::size_t first = 1; first + 1 < images.size(); ++first) {
+    for (std::size_t run = 1; run <= kLongestRun && first + run < images.size(); ++run) {
+      const std::size_t before = first - 1, last = first + run - 1, after = first + run;
+      const double least = kJump * std::max(usual_step, apart(before, after) / static_cast<double>(run + 1));
+      if (apart(before, first) < least || apart(last, after) < least) continue;
+      const auto shares_few = [&](std::size_t of) {
+        return static_cast<double>(shares.of(before, first)) < kFew * static_cast<double>(of) &&
+               static_cast<double>(shares.of(last, after)) < kFew * static_cast<double>(of);
+      };
+      const std::size_t around = shares.of(before, after);
+      const bool denied = around >= kNeighbours && shares_few(around);
+      const double most = *std::max_element(seen.begin() + static_cast<std::ptrdiff_t>(first),
+                                            seen.begin() + static_cast<std::ptrdiff_t>(after));
+      const bool weak = most < kWeak * usual_count && shares_few(static_cast<std::size_t>(most));
+      if (!denied && !weak) continue;
+      for (std::size_t i = first; i <= last; ++i) out.push_back(images[i]->name);
+      first = last;
+      break;
+    }
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+std::vector<std::string> torn_images(const ColmapModel& model, const ColmapModel& kept) {
+  std::map<std::string, std::size_t> left;
+  for (const ColmapImage& image : kept.images) left[image.name] = image.points.size();
+  std::vector<std::string> out;
+  for (const ColmapImage& image : model.images)
+    if (static_cast<double>(left[image.name]) < kLeft * static_cast<double>(image.points.size()))
+      out.push_back(image.name);
+  std::sort(out.begin(), out.end());
+  return out;
+}
 
 namespace {
 
@@ -26,7 +613,7 @@ struct Folders {
   fs::path images, logs, work, model;
 };
 
-// A sum of all that the steps depend on.
+// All that the steps depend on.
 std::string identity_of(const CaptureSource& source, const PrepareOptions& options) {
   std::string out = source.path + "\nframes " + std::to_string(options.frames) + "\n";
   const auto add = [&](const std::string& name, const std::string& path) {
@@ -37,9 +624,7 @@ std::string identity_of(const CaptureSource& source, const PrepareOptions& optio
   if (options.lens != LensAsked::automatic) out += options.lens == LensAsked::fisheye ? "fisheye\n" : "panoramas\n";
   if (source.video) add("video", source.path);
   for (const Photograph& one : source.photographs) add(one.name, one.path);
-  Sha256 sum;
-  sum.add(std::as_bytes(std::span<const char>(out)));
-  return sum.hex();
+  return out;
 }
 
 // Lists of COLMAP part names by blanks and begin a comment with '#'.
