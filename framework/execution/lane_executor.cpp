@@ -368,8 +368,8 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
   void use_encoded_gradient(std::size_t pass, const PassTrace<Real>& trace, const StepContext&,
                             View<Real> d_encoded) override {
     if (tile_.number != kAlone) return;
-    RayGuard<Real>(owner_.passes()[pass].parts().name, tile_.begin, trace.samples)
-        .per_sample("gradient of the encoded position", d_encoded);
+    guard_values<Real>({owner_.passes()[pass].parts().name, tile_.begin, &trace.samples}, Guarded::encoded_gradient,
+                       d_encoded);
   }
 
  private:

@@ -57,7 +57,7 @@ void locate(const GuardPlace<Real>& place, const Rays<Real>& rays, const DomainM
     const Vec3d at = map(p);
     for (int i = 0; i < 3; ++i) x(m, i) = at[i];
   }
-  RayGuard<Real>(place.pass, place.first_ray, samples).samples(x);
+  guard_samples(place, View<const double>(x));
 }
 
 template <class Real>
@@ -223,28 +223,6 @@ void opacity_resolutions(const Samples<Real>& samples, View<const Real> weight, 
 }
 
 template <class Real>
-void guard(const GuardPlace<Real>& place, Guarded value, View<const Real> values) {
-  const RayGuard<Real> guard(place.pass, place.first_ray, *place.samples);
-  // By Guarded.
-  static constexpr struct {
-    const char* name;
-    bool per_ray;
-  } kValues[] = {{"encoded position", false},
-                 {"encoded direction", true},
-                 {"raw density", false},
-                 {"colour", false},
-                 {"feature", false},
-                 {"semantic feature", false},
-                 {"colour", true},
-                 {"depth", true},
-                 {"opacity", true},
-                 {"logits", true},
-                 {"channel of a head", true}};
-  const auto& of = kValues[static_cast<std::size_t>(value)];
-  of.per_ray ? guard.per_ray(of.name, values) : guard.per_sample(of.name, values);
-}
-
-template <class Real>
 void guard_density(const GuardPlace<Real>& place, View<const Real> sigma) {
   check_density<Real>(*place.samples, sigma, place.first_ray);
 }
@@ -290,7 +268,7 @@ Stages<Real> make_stages() {
   s.class_results = class_results<Real>;
   s.opacity_resolutions = opacity_resolutions<Real>;
   s.adam = adam_update<Real>;
-  s.guard = guard<Real>;
+  s.guard = guard_values<Real>;
   s.guard_density = guard_density<Real>;
   s.guard_density_at = guard_density_at<Real>;
   return s;
@@ -320,52 +298,72 @@ void guard_rays(const Rays<Real>& rays, View<const float> target, std::int64_t f
   check("true colour", target);
 }
 
-template <class Real>
-void RayGuard<Real>::fail(const char* name, std::int64_t row, const std::string& what) const {
-  const std::int64_t r = samples_.ray_of_sample(row, 0);
-  std::string place = fmt::format("ray {}", first_ray_ + r);
-  if (!samples_.t.empty()) {
-    place += fmt::format(", sample {}", row - samples_.first(r, 0));
-    if (std::isfinite(samples_.t(row, 0))) place += fmt::format(" at {:.4g} m", samples_.t(row, 0));
-  }
-  throw RayFault(first_ray_ + r, ErrorKind::failure, "train.value.not_finite",
-                 fmt::format("pass '{}': {} of {} {}", pass_, name, place, what), std::string(fault_remedy()));
-}
+namespace {
 
 template <class Real>
-void RayGuard<Real>::samples(View<const double> x) const {
+[[noreturn]] void fail(const GuardPlace<Real>& place, const char* name, std::int64_t row, const std::string& what) {
+  const Samples<Real>& samples = *place.samples;
+  const std::int64_t r = samples.ray_of_sample(row, 0);
+  std::string where = fmt::format("ray {}", place.first_ray + r);
+  if (!samples.t.empty()) {
+    where += fmt::format(", sample {}", row - samples.first(r, 0));
+    if (std::isfinite(samples.t(row, 0))) where += fmt::format(" at {:.4g} m", samples.t(row, 0));
+  }
+  throw RayFault(place.first_ray + r, ErrorKind::failure, "train.value.not_finite",
+                 fmt::format("pass '{}': {} of {} {}", place.pass, name, where, what), std::string(fault_remedy()));
+}
+
+}  // namespace
+
+template <class Real>
+void guard_samples(const GuardPlace<Real>& place, View<const double> x) {
   constexpr Real kLargest = std::numeric_limits<Real>::max();
+  const Samples<Real>& samples = *place.samples;
   const auto bad_interval = [](Real delta) { return !(delta >= 0) || !(delta <= kLargest); };
   int bad = 0;
-  for (std::int64_t m = 0; m < samples_.count; ++m)
-    bad |= !(std::abs(samples_.t.data[m]) <= kLargest) || bad_interval(samples_.delta.data[m]) ? 1 : 0;
-  for (std::int64_t m = 0; m < samples_.count && bad != 0; ++m) {
-    const Real t = samples_.t.data[m], delta = samples_.delta.data[m];
-    if (!std::isfinite(t)) fail("distance", m, fmt::format("is {}", t));
-    if (bad_interval(delta)) fail("interval", m, fmt::format("is {}; it must be finite and not negative", delta));
+  for (std::int64_t m = 0; m < samples.count; ++m)
+    bad |= !(std::abs(samples.t.data[m]) <= kLargest) || bad_interval(samples.delta.data[m]) ? 1 : 0;
+  for (std::int64_t m = 0; m < samples.count && bad != 0; ++m) {
+    const Real t = samples.t.data[m], delta = samples.delta.data[m];
+    if (!std::isfinite(t)) fail(place, "distance", m, fmt::format("is {}", t));
+    if (bad_interval(delta))
+      fail(place, "interval", m, fmt::format("is {}; it must be finite and not negative", delta));
   }
   const std::int64_t row = first_bad_row(x);
-  if (row >= 0) fail("position", row, first_in_row(x.row(row), x.cols));
+  if (row >= 0) fail(place, "position", row, first_in_row(x.row(row), x.cols));
 }
 
 template <class Real>
-void RayGuard<Real>::per_sample(const char* name, View<const Real> values) const {
-  const std::int64_t row = first_bad_row(values);
-  if (row >= 0) fail(name, row, first_in_row(values.row(row), values.cols));
-}
-
-template <class Real>
-void RayGuard<Real>::per_ray(const char* name, View<const Real> values) const {
+void guard_values(const GuardPlace<Real>& place, Guarded value, View<const Real> values) {
+  // By Guarded.
+  static constexpr struct {
+    const char* name;
+    bool per_ray;
+  } kValues[] = {{"encoded position", false},
+                 {"encoded direction", true},
+                 {"raw density", false},
+                 {"colour", false},
+                 {"feature", false},
+                 {"semantic feature", false},
+                 {"colour", true},
+                 {"depth", true},
+                 {"opacity", true},
+                 {"logits", true},
+                 {"channel of a head", true},
+                 {"gradient of the encoded position", false}};
+  const auto& of = kValues[static_cast<std::size_t>(value)];
   const std::int64_t row = first_bad_row(values);
   if (row < 0) return;
-  throw RayFault(first_ray_ + row, ErrorKind::failure, "train.value.not_finite",
-                 fmt::format("pass '{}': {} of ray {} {}", pass_, name, first_ray_ + row,
-                             first_in_row(values.row(row), values.cols)),
+  const std::string what = first_in_row(values.row(row), values.cols);
+  if (!of.per_ray) fail(place, of.name, row, what);
+  throw RayFault(place.first_ray + row, ErrorKind::failure, "train.value.not_finite",
+                 fmt::format("pass '{}': {} of ray {} {}", place.pass, of.name, place.first_ray + row, what),
                  std::string(fault_remedy()));
 }
 
-#define SEMFIELD_INSTANTIATE(Real) \
-  template class RayGuard<Real>;   \
+#define SEMFIELD_INSTANTIATE(Real)                                                      \
+  template void guard_samples<Real>(const GuardPlace<Real>&, View<const double>);       \
+  template void guard_values<Real>(const GuardPlace<Real>&, Guarded, View<const Real>); \
   template void guard_rays<Real>(const Rays<Real>&, View<const float>, std::int64_t);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

@@ -44,7 +44,8 @@ enum class Guarded : std::uint8_t {
   depth,
   opacity,
   logits,
-  channel,  ///< of a head beside that of class logits
+  channel,           ///< of a head beside that of class logits
+  encoded_gradient,  ///< of a lone tile
 };
 
 /// Whose values they are, for messages.
@@ -230,27 +231,14 @@ template <class Real>
 void guard_rays(const Rays<Real>& rays, View<const float> target, std::int64_t first_ray);
 
 /// The checks of one tile of one pass. Every value is looked at, as whole arrays: a tile costs a reading of what is in
-/// cache. All throw RayFault for the first bad value.
+/// cache. Both throw RayFault for the first bad value. `place.samples` may lack t (rounds of rendering): then a message
+/// names the ray alone.
+
+/// Distances finite, intervals finite and not negative, coordinates x [M, 3] finite.
 template <class Real>
-class RayGuard {
- public:
-  /// Borrows all of them. `samples` may lack t (rounds of rendering): then a message names the ray alone.
-  RayGuard(std::string_view pass, std::int64_t first_ray, const Samples<Real>& samples)
-      : pass_(pass), first_ray_(first_ray), samples_(samples) {}
-
-  /// Distances finite, intervals finite and not negative, coordinates x [M, 3] finite.
-  void samples(View<const double> x) const;
-  /// values [M, C], a row per sample, each finite.
-  void per_sample(const char* name, View<const Real> values) const;
-  /// values [R, C], a row per ray, each finite.
-  void per_ray(const char* name, View<const Real> values) const;
-
- private:
-  [[noreturn]] void fail(const char* name, std::int64_t row, const std::string& what) const;
-
-  std::string_view pass_;
-  std::int64_t first_ray_;
-  const Samples<Real>& samples_;
-};
+void guard_samples(const GuardPlace<Real>& place, View<const double> x);
+/// values, a row per sample or per ray, each finite: Stages::guard of a CPU.
+template <class Real>
+void guard_values(const GuardPlace<Real>& place, Guarded value, View<const Real> values);
 
 }  // namespace semfield

@@ -33,14 +33,14 @@ TYPED_TEST(FiniteChecks, SeeEveryPosition) {
     samples.ray_of_sample = {ray.data(), n, 1};
     samples.first = {first.data(), 2, 1};
     samples.count = n;
-    const RayGuard<Real> guard("main", 0, samples);
+    const GuardPlace<Real> place{"main", 0, &samples};
     const View<const Real> column(x.data(), n, 1), row(x.data(), 1, n), sound(half.data(), n, 1);
     const auto all_pass = [&] {
       return all_finite(x.data(), n) && first_non_finite<Real>(column) == -1 &&
              first_unsound<Real>(column, column, column, column, true).element == -1;
     };
     EXPECT_TRUE(all_pass());
-    EXPECT_NO_THROW(guard.per_sample("value", column));
+    EXPECT_NO_THROW(guard_values<Real>(place, Guarded::feature, column));
     EXPECT_NO_THROW(check_density<Real>(samples, column));
     for (std::int32_t at = 0; at < n; ++at) {
       for (const Real bad : bad_values<Real>()) {
@@ -53,16 +53,16 @@ TYPED_TEST(FiniteChecks, SeeEveryPosition) {
           EXPECT_EQ(first_unsound<Real>(sound, sound, column, sound, touched).element, at);
           EXPECT_EQ(first_unsound<Real>(sound, sound, sound, column, touched).element, at);
         }
-        EXPECT_THROW(guard.per_sample("value", column), RayFault);
-        EXPECT_THROW(guard.per_ray("value", row), RayFault);
+        EXPECT_THROW(guard_values<Real>(place, Guarded::feature, column), RayFault);
+        EXPECT_THROW(guard_values<Real>(place, Guarded::logits, row), RayFault);
         EXPECT_THROW(check_density<Real>(samples, column), RayFault);
         std::vector<Real> out(static_cast<std::size_t>(n));
         EXPECT_THROW(softmax<Real>(row, View<Real>(out.data(), 1, n)), Error);
         samples.t = {x.data(), n, 1};
-        EXPECT_THROW(guard.samples({}), RayFault);
+        EXPECT_THROW(guard_samples<Real>(place, {}), RayFault);
         samples.t = {half.data(), n, 1};
         samples.delta = {x.data(), n, 1};
-        EXPECT_THROW(guard.samples({}), RayFault);
+        EXPECT_THROW(guard_samples<Real>(place, {}), RayFault);
         samples.delta = {half.data(), n, 1};
         x[at] = Real(0.25);
       }
