@@ -423,35 +423,47 @@ std::array<std::int64_t, 4> neighbours(std::int64_t i, std::int32_t width, std::
 
 }  // namespace
 
+PixelRegions regions_of(const std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height) {
+  constexpr auto kNone = static_cast<std::uint32_t>(-1);
+  PixelRegions out;
+  out.of_pixel.assign(label.size(), kNone);
+  std::vector<std::int64_t> queue;
+  for (std::size_t start = 0; start < label.size(); ++start) {
+    if (out.of_pixel[start] != kNone) continue;
+    const auto number = static_cast<std::uint32_t>(out.first.size());
+    queue.assign(1, static_cast<std::int64_t>(start));
+    out.of_pixel[start] = number;
+    for (std::size_t next = 0; next < queue.size(); ++next) {
+      for (const std::int64_t n : neighbours(queue[next], width, height)) {
+        const auto pixel = static_cast<std::size_t>(n);
+        if (n < 0 || out.of_pixel[pixel] != kNone || label[pixel] != label[start]) continue;
+        out.of_pixel[pixel] = number;
+        queue.push_back(n);
+      }
+    }
+    out.first.push_back(start);
+    out.pixels.push_back(std::ssize(queue));
+  }
+  return out;
+}
+
 SmallRegions fill_small_regions(std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height,
                                 std::int64_t min_area_px) {
   SEMFIELD_CHECK(std::ssize(label) == std::int64_t{width} * height, "a label map has a label for each pixel");
   SmallRegions found;
-  std::vector<bool> seen(label.size()), small(label.size());
-  std::vector<std::int64_t> queue;
-  for (std::int64_t first = 0; first < std::ssize(label); ++first) {
-    if (seen[static_cast<std::size_t>(first)]) continue;
-    queue.assign(1, first);
-    seen[static_cast<std::size_t>(first)] = true;
-    for (std::size_t next = 0; next < queue.size(); ++next) {
-      for (const std::int64_t n : neighbours(queue[next], width, height)) {
-        if (n < 0 || seen[static_cast<std::size_t>(n)] ||
-            label[static_cast<std::size_t>(n)] != label[static_cast<std::size_t>(first)])
-          continue;
-        seen[static_cast<std::size_t>(n)] = true;
-        queue.push_back(n);
-      }
-    }
-    if (std::ssize(queue) >= min_area_px) continue;
-    for (const std::int64_t i : queue) small[static_cast<std::size_t>(i)] = true;
+  const PixelRegions regions = regions_of(label, width, height);
+  for (const std::int64_t pixels : regions.pixels) {
+    if (pixels >= min_area_px) continue;
     ++found.regions;
-    found.pixels += std::ssize(queue);
+    found.pixels += pixels;
   }
   if (found.pixels == std::ssize(label)) return {};
   // Larger regions grow into the small ones from all sides, a pixel at a time: what they fill is connected to them.
-  queue.clear();
-  for (std::int64_t i = 0; i < std::ssize(label); ++i) {
-    if (!small[static_cast<std::size_t>(i)]) queue.push_back(i);
+  std::vector<bool> small(label.size());
+  std::vector<std::int64_t> queue;
+  for (std::size_t i = 0; i < label.size(); ++i) {
+    small[i] = regions.pixels[regions.of_pixel[i]] < min_area_px;
+    if (!small[i]) queue.push_back(static_cast<std::int64_t>(i));
   }
   for (std::size_t next = 0; next < queue.size(); ++next) {
     for (const std::int64_t n : neighbours(queue[next], width, height)) {

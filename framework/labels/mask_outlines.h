@@ -65,6 +65,14 @@ struct MaskRegion {
 /// outline_runs of it gives exactly its pixels, by the even-odd and by the non-zero rule.
 std::vector<MaskRegion> mask_regions(const std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height);
 
+/// Pixels of one label (void too) that are connected through pixel edges, numbered in the order of their first pixels.
+struct PixelRegions {
+  std::vector<std::uint32_t> of_pixel;
+  std::vector<std::size_t> first;    ///< of each region
+  std::vector<std::int64_t> pixels;  ///< how many it has
+};
+PixelRegions regions_of(const std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height);
+
 // COCO's run lengths of a mask [Lin14]: column by column from the top left, beginning with the pixels outside.
 
 /// Counts of a text, 5 bits a character from '0' on, low bits first: 0x20 marks that more follow, 0x10 of the last one

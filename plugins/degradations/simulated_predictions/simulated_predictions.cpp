@@ -9,6 +9,7 @@
 #include <span>
 
 #include "core/rng.h"
+#include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
@@ -22,19 +23,6 @@ constexpr int kMostSimilar = 16;
 constexpr double kLargeRegion = 0.1;  // share of a frame from which on a region is never wholly mistaken
 
 enum class Output { soft, hard };
-
-struct SimulatedParams {
-  Output output = Output::soft;
-  double strength = 1;
-  double evidence = 8;
-  int similar = 3;
-  double overlap = 0.6;
-  double region_error = 0.15;
-  double boundary_width = 0.012;
-  double noise = 2;
-  double noise_size = 0.1;
-  double depth_half_m = 5;
-};
 
 }  // namespace
 
@@ -105,41 +93,6 @@ Confusions draw_confusions(std::vector<std::int16_t> classes, int count, int tab
   return out;
 }
 
-// Connected pixels of one label: number of each pixel's region, and per region its first pixel and size.
-struct Regions {
-  std::vector<std::uint32_t> of_pixel;
-  std::vector<std::size_t> first;
-  std::vector<std::int64_t> pixels;
-};
-
-Regions regions_of(const std::vector<std::int16_t>& label, std::size_t width) {
-  constexpr auto kNone = static_cast<std::uint32_t>(-1);
-  Regions out;
-  out.of_pixel.assign(label.size(), kNone);
-  std::vector<std::size_t> queue;
-  for (std::size_t start = 0; start < label.size(); ++start) {
-    if (out.of_pixel[start] != kNone) continue;
-    const auto number = static_cast<std::uint32_t>(out.first.size());
-    const auto reach = [&](std::size_t pixel) {
-      if (out.of_pixel[pixel] != kNone || label[pixel] != label[start]) return;
-      out.of_pixel[pixel] = number;
-      queue.push_back(pixel);
-    };
-    queue.clear();
-    reach(start);
-    for (std::size_t head = 0; head < queue.size(); ++head) {
-      const std::size_t pixel = queue[head], x = pixel % width;
-      if (pixel >= width) reach(pixel - width);
-      if (x > 0) reach(pixel - 1);
-      if (x + 1 < width) reach(pixel + 1);
-      if (pixel + width < label.size()) reach(pixel + width);
-    }
-    out.first.push_back(start);
-    out.pixels.push_back(static_cast<std::int64_t>(queue.size()));
-  }
-  return out;
-}
-
 // Sums over a frame, for the manifest.
 struct FrameFacts {
   std::int64_t labelled = 0, wrong = 0, regions_mistaken = 0;
@@ -149,38 +102,37 @@ struct FrameFacts {
 class SimulatedPredictions final : public Degradation {
  public:
   void describe(ParamVisitor& visit) override {
-    SimulatedParams& p = params_;
-    SEMFIELD_PARAM(visit, p, output, "class probabilities, or the most probable class alone");
-    SEMFIELD_PARAM(visit, p, strength, "multiplies overlap, region_error, boundary_width and noise; 0 = no error",
+    SEMFIELD_PARAM(visit, *this, output, "class probabilities, or the most probable class alone");
+    SEMFIELD_PARAM(visit, *this, strength, "multiplies overlap, region_error, boundary_width and noise; 0 = no error",
                    {0, 4});
-    SEMFIELD_PARAM(visit, p, evidence, "logit of the class that is seen; the others are at 0", {0.1, 30});
-    SEMFIELD_PARAM(visit, p, similar, "how many classes of the scene a class is mistaken for", {1, kMostSimilar});
-    SEMFIELD_PARAM(visit, p, overlap, "largest share of the evidence that a similar class gets in every frame", {0, 1});
-    SEMFIELD_PARAM(visit, p, region_error,
+    SEMFIELD_PARAM(visit, *this, evidence, "logit of the class that is seen; the others are at 0", {0.1, 30});
+    SEMFIELD_PARAM(visit, *this, similar, "how many classes of the scene a class is mistaken for", {1, kMostSimilar});
+    SEMFIELD_PARAM(visit, *this, overlap, "largest share of the evidence that a similar class gets in every frame",
+                   {0, 1});
+    SEMFIELD_PARAM(visit, *this, region_error,
                    "chance that a small region is wholly mistaken for a similar class; it falls to 0 at a tenth of the "
                    "frame",
                    {0, 1});
-    SEMFIELD_PARAM(visit, p, boundary_width, "how far boundaries stray (standard deviation), share of the width",
+    SEMFIELD_PARAM(visit, *this, boundary_width, "how far boundaries stray (standard deviation), share of the width",
                    {0, 0.25});
-    SEMFIELD_PARAM(visit, p, noise, "standard deviation of each frame's smooth noise on the logits", {0, 30});
-    SEMFIELD_PARAM(visit, p, noise_size, "distance between independent values of the noise, share of the width",
+    SEMFIELD_PARAM(visit, *this, noise, "standard deviation of each frame's smooth noise on the logits", {0, 30});
+    SEMFIELD_PARAM(visit, *this, noise_size, "distance between independent values of the noise, share of the width",
                    {0.02, 1});
-    SEMFIELD_PARAM(visit, p, depth_half_m, "depth at which the evidence is halved, metres; 0 = depth is not used",
+    SEMFIELD_PARAM(visit, *this, depth_half_m, "depth at which the evidence is halved, metres; 0 = depth is not used",
                    {0, 1000});
   }
 
-  bool wants_depth() const override { return params_.depth_half_m > 0; }
+  bool wants_depth() const override { return depth_half_m > 0; }
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
     const int table = scene.info.classes.valid_count();
-    const Confusions confusions =
-        draw_confusions(scene_classes(scene, kSimulatedPredictions), params_.similar, table, seed);
+    const Confusions confusions = draw_confusions(scene_classes(scene, kSimulatedPredictions), similar, table, seed);
     std::vector<FrameFacts> of_frame(labels.size());
     std::vector<SoftMap> soft(labels.size());
     for (const std::size_t f : hard_frames(scene, labels, kSimulatedPredictions)) check_depth(scene, f);
     StepFacts facts =
         change_hard_labels(scene, kSimulatedPredictions, labels, [&](std::size_t f, std::vector<std::int16_t>& hard) {
-          if (params_.output == Output::soft) soft[f] = SoftMap(hard.size(), table);
+          if (output == Output::soft) soft[f] = SoftMap(hard.size(), table);
           of_frame[f] = predict({scene.frames[f], f, seed}, confusions, hard, soft[f]);
         });
     FrameFacts sum;
@@ -203,6 +155,17 @@ class SimulatedPredictions final : public Degradation {
     return facts;
   }
 
+  Output output = Output::soft;
+  double strength = 1;
+  double evidence = 8;
+  int similar = 3;
+  double overlap = 0.6;
+  double region_error = 0.15;
+  double boundary_width = 0.012;
+  double noise = 2;
+  double noise_size = 0.1;
+  double depth_half_m = 5;
+
  private:
   struct Place {
     const StoredFrame& frame;
@@ -213,7 +176,7 @@ class SimulatedPredictions final : public Degradation {
 
   // Without it the same configuration would give other labels wherever depth is not kept in memory.
   void check_depth(const LoadedScene& scene, std::size_t f) const {
-    if (params_.depth_half_m > 0 && scene.info.frames[f].has_depth && scene.frames[f].depth_m.empty()) {
+    if (depth_half_m > 0 && scene.info.frames[f].has_depth && scene.frames[f].depth_m.empty()) {
       throw Error(
           ErrorKind::internal, "internal.degradation.depth",
           std::string(kSimulatedPredictions) + ": the depth of " + frame_place(scene.info.frames[f]) + " was not kept");
@@ -224,7 +187,7 @@ class SimulatedPredictions final : public Degradation {
   std::vector<std::int16_t> seen_classes(const Place& at, const Confusions& confusions,
                                          const std::vector<std::int16_t>& clean, FrameFacts& facts) const {
     const std::int32_t width = at.frame.width_px, height = at.frame.height_px;
-    const Regions regions = regions_of(clean, static_cast<std::size_t>(width));
+    const PixelRegions regions = regions_of(clean, width, height);
     const RandomAddress chance = at.address("labels/simulated_predictions/region");
     const RandomAddress partner = at.address("labels/simulated_predictions/partner");
     std::vector<std::int16_t> of_region;
@@ -232,17 +195,17 @@ class SimulatedPredictions final : public Degradation {
       const std::size_t first = regions.first[r];
       std::int16_t label = clean[first];
       const double share = static_cast<double>(regions.pixels[r]) / static_cast<double>(clean.size());
-      const double q = params_.strength * params_.region_error * std::max(0.0, 1 - share / kLargeRegion);
+      const double q = strength * region_error * std::max(0.0, 1 - share / kLargeRegion);
       if (label != kVoid && static_cast<double>(uniform01(chance, first)) < q) {
-        const std::vector<std::int16_t>& similar = confusions.similar[static_cast<std::size_t>(label)];
-        if (!similar.empty()) {
-          label = similar[uniform_below(partner, first, similar.size())];
+        const std::vector<std::int16_t>& others = confusions.similar[static_cast<std::size_t>(label)];
+        if (!others.empty()) {
+          label = others[uniform_below(partner, first, others.size())];
           ++facts.regions_mistaken;
         }
       }
       of_region.push_back(label);
     }
-    const double stray_px = params_.strength * params_.boundary_width * width;
+    const double stray_px = strength * boundary_width * width;
     const double cell_px = std::max(2.0, 4 * stray_px);
     const RandomAddress boundary = at.address("labels/simulated_predictions/boundary");
     const NoiseField dx(width, height, cell_px, boundary, 0), dy(width, height, cell_px, boundary, dx.size());
@@ -264,8 +227,8 @@ class SimulatedPredictions final : public Degradation {
 
   double evidence_at(const Place& at, std::size_t pixel) const {
     const double depth_m =
-        params_.depth_half_m > 0 && !at.frame.depth_m.empty() ? static_cast<double>(at.frame.depth_m[pixel]) : 0;
-    return depth_m > 0 ? params_.evidence / (1 + depth_m / params_.depth_half_m) : params_.evidence;
+        depth_half_m > 0 && !at.frame.depth_m.empty() ? static_cast<double>(at.frame.depth_m[pixel]) : 0;
+    return depth_m > 0 ? evidence / (1 + depth_m / depth_half_m) : evidence;
   }
 
   // `hard` becomes the most probable class; `soft`, unless empty, the probabilities.
@@ -274,12 +237,12 @@ class SimulatedPredictions final : public Degradation {
     const std::int32_t width = at.frame.width_px;
     FrameFacts facts;
     const std::vector<std::int16_t> seen = seen_classes(at, confusions, hard, facts);
-    const double cell_px = std::max(1.0, params_.noise_size * width);
-    std::vector<NoiseField> noise;
+    const double cell_px = std::max(1.0, noise_size * width);
+    std::vector<NoiseField> fields;
     for (std::size_t c = 0; c < confusions.similar.size(); ++c) {
-      const std::uint64_t first_index = noise.empty() ? 0 : c * noise.front().size();
-      noise.emplace_back(width, at.frame.height_px, cell_px, at.address("labels/simulated_predictions/noise"),
-                         first_index);
+      const std::uint64_t first_index = fields.empty() ? 0 : c * fields.front().size();
+      fields.emplace_back(width, at.frame.height_px, cell_px, at.address("labels/simulated_predictions/noise"),
+                          first_index);
     }
     std::vector<float> row(confusions.similar.size());
     for (std::size_t pixel = 0; pixel < hard.size(); ++pixel) {
@@ -288,7 +251,7 @@ class SimulatedPredictions final : public Degradation {
       const auto y = static_cast<std::int32_t>(pixel / static_cast<std::size_t>(width));
       probabilities(
           confusions, seen[pixel], evidence_at(at, pixel),
-          [&](std::size_t c) { return params_.strength * params_.noise * noise[c].at(x, y); }, row);
+          [&](std::size_t c) { return strength * noise * fields[c].at(x, y); }, row);
       const auto best = std::max_element(row.begin(), row.end());
       const auto label = static_cast<std::int16_t>(best - row.begin());
       ++facts.labelled;
@@ -302,20 +265,20 @@ class SimulatedPredictions final : public Degradation {
 
   // Softmax over the scene's classes; classes of the table that the scene lacks have probability 0.
   template <class Noise>
-  void probabilities(const Confusions& confusions, std::int16_t seen, double evidence, const Noise& noise,
+  void probabilities(const Confusions& confusions, std::int16_t seen, double raised_by, const Noise& noise_of,
                      std::span<float> row) const {
     const auto own = static_cast<std::size_t>(seen);
-    const std::vector<std::int16_t>& similar = confusions.similar[own];
+    const std::vector<std::int16_t>& others = confusions.similar[own];
     std::array<std::pair<std::size_t, double>, 1 + kMostSimilar> logits;  // of the classes that are not at 0
-    logits[0] = {own, evidence + noise(own)};
+    logits[0] = {own, raised_by + noise_of(own)};
     double most = std::max(0.0, logits[0].second);
-    for (std::size_t k = 0; k < similar.size(); ++k) {
-      const auto c = static_cast<std::size_t>(similar[k]);
-      const double shared = std::min(1.0, params_.strength * params_.overlap) * confusions.overlap[own][k];
-      logits[k + 1] = {c, shared * evidence + noise(c)};
+    for (std::size_t k = 0; k < others.size(); ++k) {
+      const auto c = static_cast<std::size_t>(others[k]);
+      const double shared = std::min(1.0, strength * overlap) * confusions.overlap[own][k];
+      logits[k + 1] = {c, shared * raised_by + noise_of(c)};
       most = std::max(most, logits[k + 1].second);
     }
-    const std::span<const std::pair<std::size_t, double>> raised = std::span(logits).first(similar.size() + 1);
+    const std::span<const std::pair<std::size_t, double>> raised = std::span(logits).first(others.size() + 1);
     std::fill(row.begin(), row.end(), 0.0F);
     for (const std::int16_t c : confusions.classes)
       row[static_cast<std::size_t>(c)] = static_cast<float>(std::exp(-most));
@@ -327,8 +290,6 @@ class SimulatedPredictions final : public Degradation {
       if (p > 0) p = float_of_half(half_of(static_cast<float>(static_cast<double>(p) / sum)));
     }
   }
-
-  SimulatedParams params_;
 };
 
 }  // namespace
