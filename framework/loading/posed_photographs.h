@@ -80,15 +80,18 @@ class PosedPhotographs {
   std::vector<PosedPhotograph> photos_;  ///< of each frame
 };
 
-/// A dataset whose frames are such photographs; `Params` begin with PhotographParams.
+/// A dataset whose frames are such photographs; `Params` begin with PhotographParams. Its plugin writes
+///   SceneInfo find_photographs(const Params& params, PosedPhotographs& files, Diagnostics& diagnostics);
+/// which finds the photographs below files.root() and gives them to files.open().
 template <class Params>
-class PhotographDataset : public Dataset {
+class PhotographDataset final : public Dataset {
  public:
   PhotographDataset(const Params& params, const DatasetBuild& build)
       : params_(params), files_(params, build.config_dir) {}
+  SceneInfo open(Diagnostics& diagnostics) override { return find_photographs(params_, files_, diagnostics); }
   void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
 
- protected:
+ private:
   Params params_;
   PosedPhotographs files_;
 };

@@ -6,16 +6,11 @@
 
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
-#include "datasets/colmap/colmap.h"
-#include "datasets/llff/llff.h"
-#include "datasets/packed/packed.h"
-#include "datasets/record3d/record3d.h"
-#include "datasets/replica/replica.h"
-#include "datasets/transforms_json/transforms_json.h"
 #include "formats/image_io.h"
 #include "loading/frame_source.h"
 #include "scene/scene.h"
 #include "system/files.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/datasets/rewritten_poses.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -58,7 +53,7 @@ SceneLoadOptions load(double downscale, bool wanted) {
 }
 
 TEST(Alpha, IsReadWhereItIsWantedAndScaledWithTheColours) {
-  TransformsJson scene({.root = two_images("s"), .test_every = 0}, {});
+  NamedDataset scene("transforms_json", {{"root", two_images("s")}, {"test_every", "0"}});
   Diagnostics d;
   const LoadedScene plain = load_scene(scene, load(1, false), d), whole = load_scene(scene, load(1, true), d),
                     half = load_scene(scene, load(2, true), d);
@@ -74,17 +69,17 @@ TEST(Alpha, IsReadWhereItIsWantedAndScaledWithTheColours) {
 }
 
 TEST(Alpha, IsNotOfferedWhereItIsDropped) {
-  TransformsJson scene({.root = two_images("s"), .test_every = 0, .alpha_background = -1}, {});
+  NamedDataset scene("transforms_json", {{"root", two_images("s")}, {"test_every", "0"}, {"alpha_background", "-1"}});
   Diagnostics d;
   EXPECT_TRUE(scene.open(d).frames.at(0).channels.empty());
 }
 
 TEST(Alpha, APackedSceneHasIt) {
   const std::string folder = two_images("s");
-  TransformsJson scene({.root = folder, .test_every = 0}, {});
+  NamedDataset scene("transforms_json", {{"root", folder}, {"test_every", "0"}});
   Diagnostics d;
   (void)pack_scene(scene, folder + "/packed", load(2, false), {}, d);
-  Packed packed(PackedParams{"packed"}, DatasetBuild{folder});
+  NamedDataset packed("packed", {{"file", "packed"}}, DatasetBuild{folder});
   const LoadedScene a = load_scene(scene, load(2, true), d), b = load_scene(packed, load(1, true), d);
   EXPECT_FALSE(d.has_errors());
   EXPECT_EQ(a.frames[0].alpha, b.frames[0].alpha);
@@ -98,7 +93,7 @@ TEST(Alpha, IsAShareOfEachPixelOfTheImage) {
   FrameChannelInfo told{std::string(kAlphaChannel), kSide, kSide, 1};
   std::vector<float> values(kSide * kSide, 0.5F);
   const auto refusal = [&] {
-    TransformsJson images({.root = two_images("s"), .test_every = 0}, {});
+    NamedDataset images("transforms_json", {{"root", two_images("s")}, {"test_every", "0"}});
     Diagnostics d;
     const SceneReader reader{[&](Diagnostics& found) {
                                SceneInfo info = images.open(found);
@@ -165,7 +160,7 @@ TEST(FixedScene, HasTheNewCamerasAndEverythingElseAsItWas) {
   const Source source;
   const std::string folder = fresh_folder("fixed");
   source.write(folder);
-  TransformsJson again(TransformsJsonParams{.root = folder}, {});
+  NamedDataset again("transforms_json", {{"root", folder}});
   Diagnostics d;
   const SceneInfo info = again.open(d);
   for (const Diagnostic& one : d.all()) EXPECT_EQ(one.severity, Severity::note) << one.text();
@@ -197,7 +192,7 @@ TEST(FixedScene, WithoutDepthItsUnitIsStated) {
     for (FrameInfo& frame : source.scene.info.frames) frame.has_depth = false;
     const std::string folder = fresh_folder("metric");
     source.write(folder);
-    TransformsJson again(TransformsJsonParams{.root = folder}, {});
+    NamedDataset again("transforms_json", {{"root", folder}});
     Diagnostics d;
     EXPECT_EQ(again.open(d).metric, metric);
   }
@@ -210,7 +205,7 @@ TEST(FixedScene, DepthOfACameraOfItsOwn) {
   source.fixed.depth_from_color.t = {0, 0, 0.5};
   source.fixed.depth_cameras.assign(4, source.scene.info.frames[0].camera);
   const auto middle = [](const std::string& folder) {
-    TransformsJson again(TransformsJsonParams{.root = folder}, {});
+    NamedDataset again("transforms_json", {{"root", folder}});
     Diagnostics d;
     (void)again.open(d);
     FrameBuffer out;
@@ -229,20 +224,20 @@ TEST(FixedScene, DepthOfACameraOfItsOwn) {
 
 // inspect, pack and the choice of a preset: what a user reads, and that a packed scene is the scene.
 
-ReplicaParams room_params(const std::string& folder) {
-  return ReplicaParams{.root = folder, .train_step = 2, .test_step = 2, .test_offset = 1};
+NamedDataset replica_of(const std::string& folder) {
+  return NamedDataset("replica", {{"root", folder}, {"train_step", "2"}, {"test_step", "2"}, {"test_offset", "1"}});
 }
 
 TEST(Pack, PackedSceneIsTheScene) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);
-  Replica replica(room_params(folder), {});
+  NamedDataset replica = replica_of(folder);
   Diagnostics d;
   SceneLoadOptions half{.downscale = 2};
   const PackSummary summary = pack_scene(replica, folder + "/room.semfield", half, {}, d);
   EXPECT_EQ(summary.frames, 6);
   EXPECT_EQ(summary.bytes, std::filesystem::file_size(folder + "/room.semfield"));
-  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
   SceneLoadOptions whole{.with_instances = half.with_instances = true};
   const LoadedScene a = load_scene(replica, half, d), b = load_scene(packed, whole, d);
   EXPECT_FALSE(d.has_errors());
@@ -271,11 +266,11 @@ TEST(Pack, MasksAndWideLensesStayAndWhatAMaskHidesDoesNot) {
       "{\"camera_model\": \"OPENCV_FISHEYE\", \"fl_x\": 3, \"k4\": 0.01, \"frames\": [{\"file_path\": \"a.png\", "
       "\"mask_path\": \"m.png\", " +
           eye + ", {\"file_path\": \"b.png\", " + eye + "]}");
-  TransformsJson scene(TransformsJsonParams{.root = folder}, {});
+  NamedDataset scene("transforms_json", {{"root", folder}});
   Diagnostics d;
   (void)pack_scene(scene, folder + "/room.semfield", {}, {}, d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
-  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
   const SceneInfo info = packed.open(d);
   EXPECT_EQ(info.frames[0].camera.lens, LensKind::fisheye);
   EXPECT_EQ(info.frames[0].camera.k4, 0.01);
@@ -291,11 +286,11 @@ TEST(Pack, MasksAndWideLensesStayAndWhatAMaskHidesDoesNot) {
 TEST(Pack, WhatIsPackedIsMended) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);
-  Replica replica(room_params(folder), {});
+  NamedDataset replica = replica_of(folder);
   Diagnostics d;
   SceneLoadOptions options{.convention = {true, true, 0.5, 2}};
   (void)pack_scene(replica, folder + "/room.semfield", options, {}, d);
-  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
   options.check_geometry = false;
   const LoadedScene a = load_scene(replica, options, d);
   SceneLoadOptions plain{.check_geometry = false};
@@ -352,7 +347,7 @@ TEST(Inspect, ReportTellsFramesClassesAndProblems) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);
   cut(folder + "/rgb/rgb_3.png", 20);
-  Replica replica(room_params(folder), {});
+  NamedDataset replica = replica_of(folder);
   Diagnostics d;
   const LoadedScene scene = load_scene(replica, {}, d);
   const std::string report = inspect_report(scene, d);
@@ -366,7 +361,7 @@ TEST(Inspect, ReportTellsFramesClassesAndProblems) {
 TEST(Inspect, FrustaFileHasTheStatedSize) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 4);
-  Replica replica(room_params(folder), {});
+  NamedDataset replica = replica_of(folder);
   Diagnostics d;
   const LoadedScene scene = load_scene(replica, {}, d);
   write_frusta_ply(folder + "/cameras.ply", scene);
@@ -385,7 +380,7 @@ TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
                     std::string_view("{\"fl_x\": 3, \"depth_unit_m\": 0.0001, \"frames\": [{\"file_path\": "
                                      "\"a.png\", \"depth_path\": \"d.png\", \"transform_matrix\": "
                                      "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"));
-  TransformsJson scene(TransformsJsonParams{.root = folder}, {});
+  NamedDataset scene("transforms_json", {{"root", folder}});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
@@ -421,19 +416,8 @@ TEST(Inspect, FrustaSuitTheDistanceAndThePlaceOfTheCameras) {
 
 std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
 
-template <class Reader, class Params>
-std::function<std::unique_ptr<Dataset>(const std::string&)> reads() {
-  return [](const std::string& root) -> std::unique_ptr<Dataset> {
-    Params params;
-    params.root = root;
-    return std::make_unique<Reader>(params, DatasetBuild{});
-  };
-}
-const auto kTransforms = reads<TransformsJson, TransformsJsonParams>();
-
 struct Measured {
-  const char *name, *folder, *preset;
-  std::function<std::unique_ptr<Dataset>(const std::string&)> reader;
+  const char *name, *folder, *preset, *reader;
   int width_px;
 };
 void PrintTo(const Measured& m, std::ostream* out) { *out << m.name; }
@@ -446,7 +430,8 @@ TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
     GTEST_SKIP() << "the optional scene " << scene.folder << " is not at hand";
   SceneLoadOptions options{.width_px = scene.width_px, .depth = DepthKept::none};
   Diagnostics d;
-  const LoadedScene loaded = load_scene(*scene.reader(data(scene.folder)), options, d);
+  NamedDataset dataset(scene.reader, {{"root", data(scene.folder)}});
+  const LoadedScene loaded = load_scene(dataset, options, d);
   EXPECT_FALSE(d.has_errors());
   const std::optional<PresetAdvice> advice = advised_preset(loaded);
   ASSERT_TRUE(advice);
@@ -454,25 +439,25 @@ TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
   EXPECT_FALSE(advice->background) << "white is the preset's own";
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    RealScenes, PresetAdviceOf,
-    testing::Values(Measured{"bonsai", "bonsai360", "room.yaml", kTransforms, 400},
-                    Measured{"bonsai_llff", "bonsai360", "room.yaml", reads<Llff, LlffParams>(), 400},
-                    Measured{"llff_room", "llff_room", "room.yaml", kTransforms, 400},
-                    Measured{"studio", "studio_room", "room.yaml", kTransforms, 480},
-                    Measured{"studio_colmap", "studio_room", "room.yaml", reads<Colmap, ColmapParams>(), 480},
-                    Measured{"hololens", "hololens_room", "room.yaml", kTransforms, 180},
-                    Measured{"shelf", "shelf_bin", "room.yaml", kTransforms, 160},
-                    Measured{"lego", "lego", "object.yaml", kTransforms, 200},
-                    Measured{"replica", "replica_apartment0", "room.yaml", reads<Replica, ReplicaParams>(), 160}),
-    [](const auto& row) { return row.param.name; });
+INSTANTIATE_TEST_SUITE_P(RealScenes, PresetAdviceOf,
+                         testing::Values(Measured{"bonsai", "bonsai360", "room.yaml", "transforms_json", 400},
+                                         Measured{"bonsai_llff", "bonsai360", "room.yaml", "llff", 400},
+                                         Measured{"llff_room", "llff_room", "room.yaml", "transforms_json", 400},
+                                         Measured{"studio", "studio_room", "room.yaml", "transforms_json", 480},
+                                         Measured{"studio_colmap", "studio_room", "room.yaml", "colmap", 480},
+                                         Measured{"hololens", "hololens_room", "room.yaml", "transforms_json", 180},
+                                         Measured{"shelf", "shelf_bin", "room.yaml", "transforms_json", 160},
+                                         Measured{"lego", "lego", "object.yaml", "transforms_json", 200},
+                                         Measured{"replica", "replica_apartment0", "room.yaml", "replica", 160}),
+                         [](const auto& row) { return row.param.name; });
 
 // Forward-facing photographs: the box of what is seen and not that of the view cones.
 TEST(SceneBounds, CornersTellWhereAForwardFacingRoomIs) {
   if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
   SceneLoadOptions options{.width_px = 400};
   Diagnostics d;
-  const LoadedScene scene = load_scene(*kTransforms(data("llff_room")), options, d);
+  NamedDataset llff("transforms_json", {{"root", data("llff_room")}});
+  const LoadedScene scene = load_scene(llff, options, d);
   EXPECT_HAS(scene.bounds_from, "corners found again");
   EXPECT_GT(scene.near_m, 3);  // LLFF's own figures are 8.9 to 47
   EXPECT_LT(scene.near_m, 14);
@@ -503,8 +488,7 @@ TEST(PresetAdvice, SurroundingsThatEndAreARoom) {
 TEST(RealData, ReplicaApartment) {
   if (!std::filesystem::exists(data("replica_apartment0")))
     GTEST_SKIP() << "the optional Replica frames are not at hand";
-  ReplicaParams p{.root = data("replica_apartment0"), .train_step = 2, .test_step = 2, .test_offset = 1};
-  Replica replica(p, {});
+  NamedDataset replica = replica_of(data("replica_apartment0"));
   Diagnostics d;
   SceneLoadOptions o{.width_px = 160};
   const LoadedScene s = load_scene(replica, o, d);
@@ -520,11 +504,8 @@ TEST(RealData, ReplicaApartment) {
 // The two exports of one reconstruction agree up to a similarity: x' = s Q x + t.
 TEST(RealData, StudioRoomByColmapAndByTransforms) {
   if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
-  TransformsJsonParams pt;
-  ColmapParams pc;
-  pt.root = pc.root = data("studio_room");
-  TransformsJson by_json(pt, {});
-  Colmap by_colmap(pc, {});
+  NamedDataset by_json("transforms_json", {{"root", data("studio_room")}});
+  NamedDataset by_colmap("colmap", {{"root", data("studio_room")}});
   Diagnostics d;
   const SceneInfo json = by_json.open(d), colmap = by_colmap.open(d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
@@ -564,11 +545,8 @@ TEST(RealData, StudioRoomByColmapAndByTransforms) {
 
 TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
   if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
-  TransformsJsonParams pt;
-  LlffParams pl;
-  pt.root = pl.root = data("llff_room");
-  TransformsJson by_json(pt, {});
-  Llff by_llff(pl, {});
+  NamedDataset by_json("transforms_json", {{"root", data("llff_room")}});
+  NamedDataset by_llff("llff", {{"root", data("llff_room")}});
   Diagnostics d;
   const SceneInfo json = by_json.open(d), llff = by_llff.open(d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
@@ -588,7 +566,7 @@ TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
 TEST(RealData, Record3dDoor) {
   if (!std::filesystem::exists(data("record3d_door")))
     GTEST_SKIP() << "the optional recording of a phone is not at hand";
-  Record3d phone(Record3dParams{{.root = data("record3d_door")}}, {});
+  NamedDataset phone("record3d", {{"root", data("record3d_door")}});
   Diagnostics d;
   const LoadedScene s = load_scene(phone, {.width_px = 240}, d);
   // The tracker's poses do not fit the photographs; nothing else is wrong.
@@ -604,8 +582,7 @@ TEST(RealData, Record3dDoor) {
 
 TEST(RealData, ShelfBinWithDepthAndLabels) {
   if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
-  TransformsJsonParams p{.root = data("shelf_bin"), .test_every = 5};
-  TransformsJson scene(p, {});
+  NamedDataset scene("transforms_json", {{"root", data("shelf_bin")}, {"test_every", "5"}});
   Diagnostics d;
   const LoadedScene s = load_scene(scene, {}, d);
   EXPECT_FALSE(d.has_errors());
@@ -621,26 +598,21 @@ TEST(RealData, ShelfBinWithDepthAndLabels) {
 TEST(RealData, ReplicaConventionsAreTold) {
   if (!std::filesystem::exists(data("replica_apartment0")))
     GTEST_SKIP() << "the optional Replica frames are not at hand";
-  ReplicaParams p{.root = data("replica_apartment0"), .train_step = 2, .test_step = 2, .test_offset = 1};
-  Replica replica(p, {});
+  NamedDataset replica = replica_of(data("replica_apartment0"));
   expect_conventions_told(replica, "poses agree with depth");
 }
 
 TEST(RealData, StudioRoomConventionsAreToldFromPhotographs) {
   if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
-  TransformsJsonParams pt;
-  ColmapParams pc;
-  pt.root = pc.root = data("studio_room");
-  TransformsJson by_json(pt, {});
+  NamedDataset by_json("transforms_json", {{"root", data("studio_room")}});
   expect_conventions_told(by_json, "poses agree with the photographs");
-  Colmap by_colmap(pc, {});
+  NamedDataset by_colmap("colmap", {{"root", data("studio_room")}});
   expect_conventions_told(by_colmap, "poses agree with the photographs");
 }
 
 TEST(RealData, ShelfBinConventionsAreToldFromSparseDepth) {
   if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
-  TransformsJsonParams p{.root = data("shelf_bin")};
-  TransformsJson scene(p, {});
+  NamedDataset scene("transforms_json", {{"root", data("shelf_bin")}});
   expect_conventions_told(scene, "poses agree with depth");
 }
 

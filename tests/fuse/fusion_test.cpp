@@ -12,7 +12,6 @@
 
 #include "core/error.h"
 #include "core/rng.h"
-#include "datasets/replica/replica.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "loading/frame_source.h"
@@ -21,6 +20,7 @@
 #include "surface/surface_graph.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/program.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/session/train_testing.h"
@@ -230,8 +230,7 @@ TEST(LabelDiffusion, PartsWithoutAVoteStayEmpty) {
 const std::string kRoot = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/replica_apartment0";
 
 LoadedScene apartment(const std::string& label_dir) {
-  ReplicaParams p{.root = kRoot, .label_dir = label_dir, .train_step = 1, .test_step = 0};
-  Replica replica(p, {});
+  NamedDataset replica("replica", {{"root", kRoot}, {"label_dir", label_dir}, {"train_step", "1"}, {"test_step", "0"}});
   Diagnostics diagnostics;
   return load_scene(replica, {}, diagnostics);
 }

@@ -16,7 +16,6 @@
 #include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/params.h"
-#include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/obj_room.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"

@@ -7,8 +7,6 @@
 
 #include "core/rng.h"
 #include "core/text.h"
-#include "datasets/replica/replica.h"
-#include "datasets/transforms_json/transforms_json.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "labels/mask_outlines.h"

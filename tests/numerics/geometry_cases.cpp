@@ -5,8 +5,7 @@
 
 #include "core/rng.h"
 #include "core/small_math.h"
-#include "datasets/obj_room/mesh_io.h"
-#include "datasets/obj_room/mesh_render.h"
+#include "datasets/obj_room/obj_room.h"
 #include "eval/evaluator.h"
 #include "loading/frame_source.h"
 #include "named_case.h"

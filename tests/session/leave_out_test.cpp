@@ -4,7 +4,7 @@
 #include <regex>
 
 #include "compute/parallel.h"
-#include "datasets/obj_room/mesh_render.h"
+#include "datasets/obj_room/obj_room.h"
 #include "execution/lane_executor.h"
 #include "run/run_folder.h"
 #include "run/run_scores.h"

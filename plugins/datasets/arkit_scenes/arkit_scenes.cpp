@@ -1,6 +1,4 @@
-// Scenes of ARKitScenes.
-#include "datasets/arkit_scenes/arkit_scenes.h"
-
+// Scenes of Apple's ARKitScenes: lowres_wide/ with a trajectory, intrinsics, depth and confidence.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -10,6 +8,7 @@
 
 #include "core/text.h"
 #include "formats/text_rows.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "system/files.h"
@@ -17,6 +16,8 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+struct ArkitScenesParams : PhotographParams {};
 
 namespace {
 
@@ -79,9 +80,9 @@ std::string recognise(const std::string& path, ArkitScenesParams& p) {
   return "";
 }
 
-SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
-  files_.require({"", "lowres_wide", kTrajectory, "lowres_wide_intrinsics"}, "the download of ARKitScenes");
-  const fs::path root(files_.root());
+SceneInfo find_photographs(const ArkitScenesParams&, PosedPhotographs& files, Diagnostics& diagnostics) {
+  files.require({"", "lowres_wide", kTrajectory, "lowres_wide_intrinsics"}, "the download of ARKitScenes");
+  const fs::path root(files.root());
   const std::map<double, Pose> poses = read_trajectory((root / kTrajectory).string());
   const bool has_depth = fs::is_directory(root / "lowres_depth");
   std::vector<PosedPhotograph> photos;
@@ -126,16 +127,16 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
     photos.push_back(std::move(photo));
   }
   if (without_pose > 0)
-    diagnostics.note("scene.pose.skipped", files_.root(),
+    diagnostics.note("scene.pose.skipped", files.root(),
                      fmt::format("{} of {} photographs are left out: the trajectory has no pose within {:g} ms of them",
                                  without_pose, images.size(), 1000 * kSameTime_s));
-  SceneInfo info = files_.open(photos, false, diagnostics);
+  SceneInfo info = files.open(photos, false, diagnostics);
   info.tracked = true;
   return info;
 }
 
 SEMFIELD_PLUGIN_MODULE(arkit_scenes, "1.0", [](Registry& registry) {
-  registry.add_dataset<ArkitScenes, ArkitScenesParams>(
+  registry.add_dataset<PhotographDataset<ArkitScenesParams>, ArkitScenesParams>(
       "arkit_scenes", "Scenes of Apple's ARKitScenes: photographs, poses and LiDAR depth of a tablet.");
 })
 

@@ -1,6 +1,5 @@
 // Scenes of ARKitScenes: poses by time, their direction, and files that do not fit.
-#include "datasets/arkit_scenes/arkit_scenes.h"
-
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -26,9 +25,7 @@ std::string scene_of(const std::string& trajectory) {
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& d) {
-  ArkitScenesParams p;
-  p.root = folder;
-  return ArkitScenes(p, {}).open(d);
+  return NamedDataset("arkit_scenes", {{"root", folder}}).open(d);
 }
 
 // A quarter turn about y, as the file has it: camera from world. A point (1, 0, 0) of the world is (0, 0, -1) + shift.

@@ -1,6 +1,4 @@
-// COLMAP scenes.
-#include "datasets/colmap/colmap.h"
-
+// COLMAP sparse models with their images; label images beside them where there are any.
 #include <algorithm>
 #include <cctype>
 #include <cmath>
@@ -10,6 +8,7 @@
 #include <vector>
 
 #include "core/text.h"
+#include "loading/colmap_model.h"
 #include "loading/frame_files.h"
 #include "loading/posed_photographs.h"
 #include "plugin/module.h"
@@ -19,6 +18,11 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+/// Its keys are those of PhotographParams but `every` and `least_confidence`.
+struct ColmapParams : PhotographParams {
+  std::string model, images = "images";
+};
 
 void describe(ParamVisitor& visit, ColmapParams& p) {
   SEMFIELD_PARAM(visit, p, root, "folder of the scene: it holds the sparse model and the images");
@@ -111,15 +115,12 @@ void set_extent(const ColmapModel& model, SceneInfo& info) {
   info.far_hint_m = 1.2 * quantile(distances, 0.999);
 }
 
-}  // namespace
-
-std::string Colmap::model_folder(Diagnostics& diagnostics) const {
-  const fs::path root(files_.root());
+std::string model_folder(const ColmapParams& params, const fs::path& root, Diagnostics& diagnostics) {
   require_folder(root, "check scene.root");
-  if (!params_.model.empty()) {
-    if (holds_model(root / params_.model)) return (root / params_.model).string();
+  if (!params.model.empty()) {
+    if (holds_model(root / params.model)) return (root / params.model).string();
     throw Error(ErrorKind::no_input, "scene.poses.missing",
-                "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'", "check scene.model");
+                "no cameras.bin or cameras.txt in '" + (root / params.model).string() + "'", "check scene.model");
   }
   for (const char* folder : kModelFolders) {
     if (!holds_model(root / folder)) continue;
@@ -135,18 +136,20 @@ std::string Colmap::model_folder(Diagnostics& diagnostics) const {
               "check scene.root, or name the model's folder with scene.model");
 }
 
-SceneInfo Colmap::open(Diagnostics& diagnostics) {
-  const std::string folder = model_folder(diagnostics);
+}  // namespace
+
+SceneInfo find_photographs(const ColmapParams& params, PosedPhotographs& files, Diagnostics& diagnostics) {
+  const fs::path root(files.root());
+  const std::string folder = model_folder(params, root, diagnostics);
   const ColmapModel model = read_colmap_model(folder, diagnostics);
-  const fs::path root(files_.root());
-  for (const auto& [what, name] : {std::pair{"images", params_.images}, std::pair{"label_dir", params_.label_dir}}) {
+  for (const auto& [what, name] : {std::pair{"images", params.images}, std::pair{"label_dir", params.label_dir}}) {
     if (!name.empty()) require_folder(root / name, std::string("check scene.") + what);
   }
   FileNames finder;
   std::vector<PosedPhotograph> photos;
   for (const ColmapImage& in : model.images) {
     PosedPhotograph photo;
-    photo.image = finder.of((root / params_.images / in.name).string());
+    photo.image = finder.of((root / params.images / in.name).string());
     photo.name = in.name;
     photo.place = in.place;
     photo.camera = model.cameras.at(in.camera);
@@ -154,15 +157,11 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     photo.world_from_camera = in.world_from_camera;
     if (photo.camera.width_px > 0) photos.push_back(std::move(photo));  // one without a size was refused
   }
-  SceneInfo info = files_.open(photos, false, diagnostics, folder);
+  SceneInfo info = files.open(photos, false, diagnostics, folder);
   info.metric = false;
   set_extent(model, info);
   return info;
 }
-
-SEMFIELD_PLUGIN_MODULE(colmap, "1.0", [](Registry& registry) {
-  registry.add_dataset<Colmap, ColmapParams>("colmap", "COLMAP sparse models, binary or text, with their images.");
-})
 
 // Photographs without camera poses: the command that finds poses for them.
 
@@ -216,5 +215,10 @@ std::string preparation(const std::string& folder, const ColmapParams&) {
          "  semfield prepare " + shell_word(where.string()) + " --out " + shell_word(scene) + "\n" +
          "then: semfield init " + shell_word(scene);
 }
+
+SEMFIELD_PLUGIN_MODULE(colmap, "1.0", [](Registry& registry) {
+  registry.add_dataset<PhotographDataset<ColmapParams>, ColmapParams>(
+      "colmap", "COLMAP sparse models, binary or text, with their images.");
+})
 
 }  // namespace semfield

@@ -1,8 +1,7 @@
 // COLMAP models: both kinds of file say the same, lenses, sizes, labels, extent, damage.
-#include "datasets/colmap/colmap.h"
-
 #include <cstring>
 
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -91,8 +90,7 @@ std::string scene_folder(const std::string& name, int width, int height,
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& diagnostics, const std::string& label_dir = "") {
-  ColmapParams p{{.root = folder, .label_dir = label_dir}};
-  return Colmap(p, {}).open(diagnostics);
+  return NamedDataset("colmap", {{"root", folder}, {"label_dir", label_dir}}).open(diagnostics);
 }
 
 std::vector<std::string> problems(const Diagnostics& diagnostics) {
@@ -195,8 +193,7 @@ TEST(Colmap, LabelsForSomeFrames) {
                  ".png");
   write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
   plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
-  ColmapParams p{{.root = folder, .label_dir = "labels"}};
-  Colmap scene(p, {});
+  NamedDataset scene("colmap", {{"root", folder}, {"label_dir", "labels"}});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   EXPECT_EQ(problems(d), std::vector<std::string>{});
@@ -212,9 +209,8 @@ TEST(Colmap, LabelsForSomeFrames) {
 TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
   const std::string folder = scene_folder("m", 8, 4, [](const std::string& f) { Binary().write(f); });
   std::filesystem::remove(folder + "/images/a.png");
-  ColmapParams p{{.root = folder, .missing = MissingFiles::skip}};
   Diagnostics d;
-  const SceneInfo info = Colmap(p, {}).open(d);
+  const SceneInfo info = NamedDataset("colmap", {{"root", folder}, {"missing", "skip"}}).open(d);
   EXPECT_FALSE(d.has_errors()) << all_said(d);
   EXPECT_HAS(all_said(d), "1 frame is left out", ": a");
   ASSERT_EQ(info.frames.size(), 1u);

@@ -1,6 +1,4 @@
-// LLFF scenes.
-#include "datasets/llff/llff.h"
-
+// LLFF scenes: poses_bounds.npy and a folder of images in the order of their names.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -16,6 +14,11 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+/// Its keys are those of PhotographParams but `every`, `least_confidence` and `missing`.
+struct LlffParams : PhotographParams {
+  std::string images = "images";
+};
 
 namespace {
 
@@ -47,8 +50,8 @@ std::string recognise(const std::string& path, LlffParams& p) {
   return std::string("LLFF's ") + kPosesFile;
 }
 
-SceneInfo Llff::open(Diagnostics& diagnostics) {
-  const fs::path root(files_.root()), folder = root / params_.images;
+SceneInfo find_photographs(const LlffParams& params, PosedPhotographs& files, Diagnostics& diagnostics) {
+  const fs::path root(files.root()), folder = root / params.images;
   const std::string path = (root / kPosesFile).string();
   require_folder(root, "check scene.root");
   const NumpyArray poses = read_npy(path, [&](std::span<const std::int64_t> shape) {
@@ -98,13 +101,13 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     c.cy = 0.5 * c.height_px;
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files_.open(photos, false, diagnostics, path);
+  SceneInfo info = files.open(photos, false, diagnostics, path);
   info.metric = false;  // nothing in the file tells the unit
   return info;
 }
 
 SEMFIELD_PLUGIN_MODULE(llff, "1.0", [](Registry& registry) {
-  registry.add_dataset<Llff, LlffParams>("llff", "Images with the poses_bounds.npy of LLFF.");
+  registry.add_dataset<PhotographDataset<LlffParams>, LlffParams>("llff", "Images with the poses_bounds.npy of LLFF.");
 })
 
 }  // namespace semfield

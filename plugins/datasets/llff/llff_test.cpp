@@ -1,6 +1,5 @@
 // poses_bounds.npy: axes, order of images, sizes, and files that do not fit.
-#include "datasets/llff/llff.h"
-
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -26,8 +25,7 @@ std::string scene(const std::vector<std::vector<float>>& rows, int images = 2) {
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& d) {
-  LlffParams p{{.root = folder, .test_every = 0}};
-  return Llff(p, {}).open(d);
+  return NamedDataset("llff", {{"root", folder}, {"test_every", "0"}}).open(d);
 }
 
 TEST(Llff, AxesAndSizes) {

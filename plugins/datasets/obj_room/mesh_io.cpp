@@ -1,10 +1,10 @@
 // OBJ + MTL reading on tinyobjloader's callbacks, with every index checked here.
-#include "datasets/obj_room/mesh_io.h"
-
 #include <algorithm>
 #include <cmath>
 #include <map>
 #include <tuple>
+
+#include "datasets/obj_room/obj_room.h"
 
 #ifdef SEMFIELD_WITH_RAYCAST
 #include <tiny_obj_loader.h>

@@ -1,6 +1,4 @@
 // Rays by Embree, and pictures.
-#include "datasets/obj_room/mesh_render.h"
-
 #include <dlfcn.h>
 
 #include <algorithm>
@@ -15,6 +13,7 @@
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
+#include "datasets/obj_room/obj_room.h"
 #include "formats/image_io.h"
 #include "loading/packed_scene.h"
 #include "system/checksum.h"

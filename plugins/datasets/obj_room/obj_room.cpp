@@ -1,4 +1,4 @@
-// Dataset 'obj_room': parameters, camera split, lights and bounds; the pictures come from scene/mesh_render.
+// Dataset 'obj_room': an OBJ + MTL room, rendered on demand along a camera path.
 #include "datasets/obj_room/obj_room.h"
 
 #include <fmt/format.h>
@@ -12,17 +12,53 @@
 
 #include "config/config_tree.h"
 #include "core/rng.h"
-#include "datasets/obj_room/mesh_io.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "system/files.h"
 
 namespace semfield {
-namespace {
 
 namespace fs = std::filesystem;
-
 using std::numbers::pi;
+
+enum class UpAxis : std::uint8_t { y, z };
+
+SEMFIELD_CHOICES(UpAxis, "y", "z");
+SEMFIELD_CHOICES(CameraAxes, "right_down_forward", "right_up_backward", "left_up_forward");
+
+/// What an instance of a room is: an object of the file, or what is of one class and touches.
+enum class RoomInstances : std::uint8_t { objects, pieces };
+SEMFIELD_CHOICES(RoomInstances, "objects", "pieces");
+
+struct ObjRoomParams {
+  std::string root = "room";
+  std::string obj;
+  std::string classes;
+  std::string cameras;
+  CameraAxes camera_axes = CameraAxes::right_down_forward;
+  UpAxis up = UpAxis::z;
+  RoomInstances instances = RoomInstances::objects;
+  int width_px = 160;
+  int height_px = 120;
+  double hfov_deg = 90;
+  int frames = 90;
+  int test_frames = 30;
+  std::int64_t seed = 1;
+  int supersample = 2;
+  int occlusion_rays = 8;
+  int shadow_rays = 2;
+  double exposure = 1.4;
+  double daylight = 0.6;
+  double clearance_m = 0.35;
+  double lowest_m = 0.9;
+  double highest_m = 1.9;
+  std::vector<double> bounds;
+  std::vector<std::string> room_classes{"wall", "ceiling"};
+  double near_m = 0;
+  double far_m = 0;
+};
+
+namespace {
 
 constexpr double kPieceGap = 0.03;  // metres
 
@@ -94,205 +130,217 @@ std::string recognise(const std::string& path, ObjRoomParams& p) {
   return "the room " + found[0];
 }
 
-ObjRoom::ObjRoom(const ObjRoomParams& params, const DatasetBuild& build)
-    : params_(params), root_(resolved(build.config_dir, params.root)), config_dir_(build.config_dir) {}
+class ObjRoom final : public Dataset {
+ public:
+  ObjRoom(const ObjRoomParams& params, const DatasetBuild& build)
+      : params_(params), root_(resolved(build.config_dir, params.root)), config_dir_(build.config_dir) {}
 
-std::string ObjRoom::obj_path() const {
-  if (!fs::is_directory(root_))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "no folder '" + root_ + "'",
-                "set scene.root to the room's folder");
-  if (!params_.obj.empty()) return resolved(root_, params_.obj);
-  std::vector<std::string> found;
-  for (const auto& entry : sorted_folder(root_)) {
-    if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
-  }
-  if (found.empty())
-    throw Error(ErrorKind::no_input, "scene.obj.missing", "no OBJ file in '" + root_ + "'",
-                "put one there or set scene.obj");
-  if (found.size() > 1) {
-    throw Error(ErrorKind::no_input, "scene.obj.several", "several OBJ files in '" + root_ + "': " + join(found),
-                "set scene.obj to one of them");
-  }
-  return resolved(root_, found[0]);
-}
+  SceneInfo open(Diagnostics& diagnostics) override {
+    const std::string path = obj_path();
+    const ClassRules rules = load_class_rules(class_path());
+    TriangleMesh mesh = load_obj(path, diagnostics);
+    std::vector<std::int16_t> class_of = classes_of_mesh(mesh, rules, diagnostics);
+    if (params_.instances == RoomInstances::pieces) mesh.piece_of = pieces_of(mesh, class_of, kPieceGap);
+    RenderSettings settings;
+    settings.up = up_of(params_.up);
+    settings.occlusion_rays = params_.occlusion_rays;
+    settings.shadow_rays = params_.shadow_rays;
+    settings.supersample = params_.supersample;
+    settings.exposure = static_cast<float>(params_.exposure);
+    settings.seed = static_cast<std::uint64_t>(params_.seed);
+    renderer_ = std::make_unique<MeshRenderer>(std::move(mesh), class_of, settings, diagnostics);
+    const Box room = room_box(rules.table, class_of);
+    settings.lights = lights(room, rules.table, class_of);
+    renderer_->set_lights(settings.lights);
+    cast_ = CastCache(cast_key(renderer_->mesh(), class_of, settings));
 
-std::string ObjRoom::class_path() const {
-  if (!params_.classes.empty()) return resolved(config_dir_, params_.classes);
-  for (const char* name : {"classes.yaml", "classes.csv"}) {
-    if (fs::is_regular_file(fs::path(root_) / name)) return resolved(root_, name);
-  }
-  throw Error(ErrorKind::no_input, "labels.classes.none", "no classes.yaml or classes.csv in '" + root_ + "'",
-              "write one ({classes: [...], rules: [...]}) or set scene.classes");
-}
-
-Box ObjRoom::room_box(const ClassTable& classes, const std::vector<std::int16_t>& class_of) const {
-  Box box;
-  if (params_.bounds.size() == 6) {
-    const std::vector<double>& b = params_.bounds;
-    box.include({b[0], b[1], b[2]});
-    box.include({b[3], b[4], b[5]});
-    return box;
-  }
-  const TriangleMesh& mesh = renderer_->mesh();
-  for (std::size_t i = 0; i < mesh.size(); ++i) {
-    if (class_of[i] < 0) continue;
-    const std::string& name = classes.valid(class_of[i]).name;
-    if (std::find(params_.room_classes.begin(), params_.room_classes.end(), name) == params_.room_classes.end())
-      continue;
-    for (const std::size_t k : {0, 1, 2}) box.include(mesh.corner(i, k));
-  }
-  return box.empty() ? mesh.bounds : box;
-}
-
-std::vector<Light> ObjRoom::lights(const Box& room, const ClassTable& classes,
-                                   const std::vector<std::int16_t>& class_of) const {
-  const Vec3d up = up_of(params_.up), size = room.size(), center = room.center();
-  const double height = std::abs(dot(size, up));
-  const Vec3d level[2] = {{1, 0, 0}, params_.up == UpAxis::y ? Vec3d{0, 0, 1} : Vec3d{0, 1, 0}};
-  const int along = dot(size, level[0]) >= dot(size, level[1]) ? 0 : 1;
-  const double longer = dot(size, level[along]), shorter = dot(size, level[1 - along]);
-  // Two warm balls under the ceiling; their strength grows with the area that they light.
-  const auto strength = static_cast<float>(0.28 * (0.25 * longer * shorter + height));
-  std::vector<Light> out;
-  for (const double side : {-1.0, 1.0}) {
-    Light light;
-    light.position = center + up * (0.5 * height - std::min(0.45, 0.2 * height)) +
-                     level[along] * (side * 0.26 * longer) + level[1 - along] * (-side * 0.08 * shorter);
-    light.radius_m = 0.16;
-    light.intensity = {strength, 0.9f * strength, 0.76f * strength};
-    out.push_back(light);
-  }
-  const TriangleMesh& mesh = renderer_->mesh();
-  std::vector<Box> boxes(mesh.objects.size());
-  for (std::size_t i = 0; i < mesh.size(); ++i) {
-    if (class_of[i] < 0 || classes.valid(class_of[i]).name != "window") continue;
-    for (const std::size_t k : {0, 1, 2}) boxes[static_cast<std::size_t>(mesh.object_of[i])].include(mesh.corner(i, k));
-  }
-  const auto area = [](const Box& b) {
-    const Vec3d s = b.empty() ? Vec3d{} : b.size();
-    return s.x * s.y + s.y * s.z + s.z * s.x;
-  };
-  const auto largest =
-      std::max_element(boxes.begin(), boxes.end(), [&](const Box& a, const Box& b) { return area(a) < area(b); });
-  if (largest != boxes.end() && area(*largest) > 0 && params_.daylight > 0) {
-    Vec3d inward = center - largest->center();
-    inward = inward - up * dot(inward, up);
-    if (length(inward) > 1e-6) {
-      const auto s = static_cast<float>(params_.daylight * 2.2);
-      out.push_back({largest->center() + normalized(inward) * 0.35, 0.35, {0.84f * s, 0.94f * s, s}});
+    const int total = params_.frames + params_.test_frames;
+    std::vector<Pose> poses;
+    if (params_.cameras.empty()) {
+      poses = make_camera_path(renderer_->rays(), {total, settings.seed, settings.up, room, params_.clearance_m,
+                                                   params_.lowest_m, params_.highest_m});
+    } else {
+      const std::string file = resolved(root_, params_.cameras);
+      const std::vector<Pose> all = read_camera_file(file, params_.camera_axes);
+      if (static_cast<int>(all.size()) < total) {
+        throw Error(ErrorKind::data, "scene.obj.poses",
+                    file + ": holds " + std::to_string(all.size()) + " poses, frames + test_frames asks for " +
+                        std::to_string(total),
+                    "lower scene.frames or scene.test_frames");
+      }
+      for (int i = 0; i < total; ++i) {
+        poses.push_back(all[static_cast<std::size_t>(static_cast<std::int64_t>(i) *
+                                                     static_cast<std::int64_t>(all.size()) / total)]);
+      }
     }
-  }
-  return out;
-}
+    const double focal = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * pi / 180);
+    const Camera camera{params_.width_px,       params_.height_px,      focal, focal,
+                        0.5 * params_.width_px, 0.5 * params_.height_px};
 
-// Near, far and bounds from what a coarse grid of rays of every camera meets; the world beyond the room (through its
-// windows) does not count.
-void ObjRoom::measure(SceneInfo& info, const Box& room) const {
-  constexpr int kColumns = 24, kRows = 18;
-  double nearest = 1e300, farthest = 0;
-  Box grown = room;
-  for (int k = 0; k < 3; ++k) {
-    grown.lo[k] -= 1.0;
-    grown.hi[k] += 1.0;
-  }
-  for (const FrameInfo& frame : info.frames) {
-    info.bounds.include(frame.world_from_camera.t);
-    for (int n = 0; n < kColumns * kRows; ++n) {
-      const Vec3d d = frame.camera.direction((n % kColumns + 0.5) * frame.camera.width_px / kColumns,
-                                             (n / kColumns + 0.5) * frame.camera.height_px / kRows);
-      const Vec3d w = frame.world_from_camera.rotate(d);
-      const RayHit hit = renderer_->rays().trace(frame.world_from_camera.t, w);
-      if (!hit.hit()) continue;
-      const Vec3d p = frame.world_from_camera.t + w * hit.distance_m;
-      bool inside = true;
-      for (int k = 0; k < 3; ++k) inside = inside && p[k] >= grown.lo[k] && p[k] <= grown.hi[k];
-      if (!inside) continue;
-      nearest = std::min(nearest, hit.distance_m);
-      farthest = std::max(farthest, hit.distance_m);
-      info.bounds.include(p);
-    }
-  }
-  for (int k = 0; k < 3; ++k) {  // the grid misses the outermost corners
-    info.bounds.lo[k] -= 0.05;
-    info.bounds.hi[k] += 0.05;
-  }
-  info.near_hint_m = params_.near_m > 0 ? params_.near_m : farthest > 0 ? 0.8 * nearest : 0;
-  info.far_hint_m = params_.far_m > 0 ? params_.far_m : 1.05 * farthest;
-}
-
-SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
-  const std::string path = obj_path();
-  const ClassRules rules = load_class_rules(class_path());
-  TriangleMesh mesh = load_obj(path, diagnostics);
-  std::vector<std::int16_t> class_of = classes_of_mesh(mesh, rules, diagnostics);
-  if (params_.instances == RoomInstances::pieces) mesh.piece_of = pieces_of(mesh, class_of, kPieceGap);
-  RenderSettings settings;
-  settings.up = up_of(params_.up);
-  settings.occlusion_rays = params_.occlusion_rays;
-  settings.shadow_rays = params_.shadow_rays;
-  settings.supersample = params_.supersample;
-  settings.exposure = static_cast<float>(params_.exposure);
-  settings.seed = static_cast<std::uint64_t>(params_.seed);
-  renderer_ = std::make_unique<MeshRenderer>(std::move(mesh), class_of, settings, diagnostics);
-  const Box room = room_box(rules.table, class_of);
-  settings.lights = lights(room, rules.table, class_of);
-  renderer_->set_lights(settings.lights);
-  cast_ = CastCache(cast_key(renderer_->mesh(), class_of, settings));
-
-  const int total = params_.frames + params_.test_frames;
-  std::vector<Pose> poses;
-  if (params_.cameras.empty()) {
-    poses = make_camera_path(renderer_->rays(), {total, settings.seed, settings.up, room, params_.clearance_m,
-                                                 params_.lowest_m, params_.highest_m});
-  } else {
-    const std::string file = resolved(root_, params_.cameras);
-    const std::vector<Pose> all = read_camera_file(file, params_.camera_axes);
-    if (static_cast<int>(all.size()) < total) {
-      throw Error(ErrorKind::data, "scene.obj.poses",
-                  file + ": holds " + std::to_string(all.size()) + " poses, frames + test_frames asks for " +
-                      std::to_string(total),
-                  "lower scene.frames or scene.test_frames");
-    }
+    SceneInfo info;
+    info.name = fs::path(path).stem().string();
+    info.classes = rules.table;
     for (int i = 0; i < total; ++i) {
-      poses.push_back(
-          all[static_cast<std::size_t>(static_cast<std::int64_t>(i) * static_cast<std::int64_t>(all.size()) / total)]);
+      FrameInfo frame;
+      frame.name = fmt::format("{:04}", i);
+      frame.source = path + " (pose " + std::to_string(i) + ")";
+      frame.camera = camera;
+      frame.world_from_camera = poses[static_cast<std::size_t>(i)];
+      // Test frames are spread evenly: frame i is one where i * test / total passes a whole number.
+      const std::int64_t t = params_.test_frames;
+      frame.split = (i + 1) * t / total > i * t / total ? Split::test : Split::train;
+      frame.has_depth = frame.has_labels = frame.has_instances = true;
+      info.frames.push_back(std::move(frame));
     }
+    measure(info, room);
+    info_ = info;
+    return info;
   }
-  const double focal = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * pi / 180);
-  const Camera camera{params_.width_px,       params_.height_px,      focal, focal,
-                      0.5 * params_.width_px, 0.5 * params_.height_px};
 
-  SceneInfo info;
-  info.name = fs::path(path).stem().string();
-  info.classes = rules.table;
-  for (int i = 0; i < total; ++i) {
-    FrameInfo frame;
-    frame.name = fmt::format("{:04}", i);
-    frame.source = path + " (pose " + std::to_string(i) + ")";
-    frame.camera = camera;
-    frame.world_from_camera = poses[static_cast<std::size_t>(i)];
-    // Test frames are spread evenly: frame i is one where i * test / total passes a whole number.
-    const std::int64_t t = params_.test_frames;
-    frame.split = (i + 1) * t / total > i * t / total ? Split::test : Split::train;
-    frame.has_depth = frame.has_labels = frame.has_instances = true;
-    info.frames.push_back(std::move(frame));
+  void read(int frame, FrameBuffer& out) const override {
+    if (frame < 0 || frame >= static_cast<int>(info_.frames.size())) {
+      throw Error(ErrorKind::internal, "internal.frame.range",
+                  "frame " + std::to_string(frame) + " of " + std::to_string(info_.frames.size()) + " was asked for");
+    }
+    const FrameInfo& f = info_.frames[static_cast<std::size_t>(frame)];
+    const auto number = static_cast<std::uint64_t>(frame);
+    if (cast_.read(number, f, out)) return;
+    renderer_->render(f.camera, f.world_from_camera, number, out);
+    cast_.write(number, f, info_.classes, out);
   }
-  measure(info, room);
-  info_ = info;
-  return info;
-}
 
-void ObjRoom::read(int frame, FrameBuffer& out) const {
-  if (frame < 0 || frame >= static_cast<int>(info_.frames.size())) {
-    throw Error(ErrorKind::internal, "internal.frame.range",
-                "frame " + std::to_string(frame) + " of " + std::to_string(info_.frames.size()) + " was asked for");
+ private:
+  std::string obj_path() const {
+    if (!fs::is_directory(root_))
+      throw Error(ErrorKind::no_input, "files.folder.missing", "no folder '" + root_ + "'",
+                  "set scene.root to the room's folder");
+    if (!params_.obj.empty()) return resolved(root_, params_.obj);
+    std::vector<std::string> found;
+    for (const auto& entry : sorted_folder(root_)) {
+      if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
+    }
+    if (found.empty())
+      throw Error(ErrorKind::no_input, "scene.obj.missing", "no OBJ file in '" + root_ + "'",
+                  "put one there or set scene.obj");
+    if (found.size() > 1) {
+      throw Error(ErrorKind::no_input, "scene.obj.several", "several OBJ files in '" + root_ + "': " + join(found),
+                  "set scene.obj to one of them");
+    }
+    return resolved(root_, found[0]);
   }
-  const FrameInfo& f = info_.frames[static_cast<std::size_t>(frame)];
-  const auto number = static_cast<std::uint64_t>(frame);
-  if (cast_.read(number, f, out)) return;
-  renderer_->render(f.camera, f.world_from_camera, number, out);
-  cast_.write(number, f, info_.classes, out);
-}
+
+  std::string class_path() const {
+    if (!params_.classes.empty()) return resolved(config_dir_, params_.classes);
+    for (const char* name : {"classes.yaml", "classes.csv"}) {
+      if (fs::is_regular_file(fs::path(root_) / name)) return resolved(root_, name);
+    }
+    throw Error(ErrorKind::no_input, "labels.classes.none", "no classes.yaml or classes.csv in '" + root_ + "'",
+                "write one ({classes: [...], rules: [...]}) or set scene.classes");
+  }
+
+  Box room_box(const ClassTable& classes, const std::vector<std::int16_t>& class_of) const {
+    Box box;
+    if (params_.bounds.size() == 6) {
+      const std::vector<double>& b = params_.bounds;
+      box.include({b[0], b[1], b[2]});
+      box.include({b[3], b[4], b[5]});
+      return box;
+    }
+    const TriangleMesh& mesh = renderer_->mesh();
+    for (std::size_t i = 0; i < mesh.size(); ++i) {
+      if (class_of[i] < 0) continue;
+      const std::string& name = classes.valid(class_of[i]).name;
+      if (std::find(params_.room_classes.begin(), params_.room_classes.end(), name) == params_.room_classes.end())
+        continue;
+      for (const std::size_t k : {0, 1, 2}) box.include(mesh.corner(i, k));
+    }
+    return box.empty() ? mesh.bounds : box;
+  }
+
+  std::vector<Light> lights(const Box& room, const ClassTable& classes,
+                            const std::vector<std::int16_t>& class_of) const {
+    const Vec3d up = up_of(params_.up), size = room.size(), center = room.center();
+    const double height = std::abs(dot(size, up));
+    const Vec3d level[2] = {{1, 0, 0}, params_.up == UpAxis::y ? Vec3d{0, 0, 1} : Vec3d{0, 1, 0}};
+    const int along = dot(size, level[0]) >= dot(size, level[1]) ? 0 : 1;
+    const double longer = dot(size, level[along]), shorter = dot(size, level[1 - along]);
+    // Two warm balls under the ceiling; their strength grows with the area that they light.
+    const auto strength = static_cast<float>(0.28 * (0.25 * longer * shorter + height));
+    std::vector<Light> out;
+    for (const double side : {-1.0, 1.0}) {
+      Light light;
+      light.position = center + up * (0.5 * height - std::min(0.45, 0.2 * height)) +
+                       level[along] * (side * 0.26 * longer) + level[1 - along] * (-side * 0.08 * shorter);
+      light.radius_m = 0.16;
+      light.intensity = {strength, 0.9f * strength, 0.76f * strength};
+      out.push_back(light);
+    }
+    const TriangleMesh& mesh = renderer_->mesh();
+    std::vector<Box> boxes(mesh.objects.size());
+    for (std::size_t i = 0; i < mesh.size(); ++i) {
+      if (class_of[i] < 0 || classes.valid(class_of[i]).name != "window") continue;
+      for (const std::size_t k : {0, 1, 2})
+        boxes[static_cast<std::size_t>(mesh.object_of[i])].include(mesh.corner(i, k));
+    }
+    const auto area = [](const Box& b) {
+      const Vec3d s = b.empty() ? Vec3d{} : b.size();
+      return s.x * s.y + s.y * s.z + s.z * s.x;
+    };
+    const auto largest =
+        std::max_element(boxes.begin(), boxes.end(), [&](const Box& a, const Box& b) { return area(a) < area(b); });
+    if (largest != boxes.end() && area(*largest) > 0 && params_.daylight > 0) {
+      Vec3d inward = center - largest->center();
+      inward = inward - up * dot(inward, up);
+      if (length(inward) > 1e-6) {
+        const auto s = static_cast<float>(params_.daylight * 2.2);
+        out.push_back({largest->center() + normalized(inward) * 0.35, 0.35, {0.84f * s, 0.94f * s, s}});
+      }
+    }
+    return out;
+  }
+
+  // Near, far and bounds from what a coarse grid of rays of every camera meets; the world beyond the room (through its
+  // windows) does not count.
+  void measure(SceneInfo& info, const Box& room) const {
+    constexpr int kColumns = 24, kRows = 18;
+    double nearest = 1e300, farthest = 0;
+    Box grown = room;
+    for (int k = 0; k < 3; ++k) {
+      grown.lo[k] -= 1.0;
+      grown.hi[k] += 1.0;
+    }
+    for (const FrameInfo& frame : info.frames) {
+      info.bounds.include(frame.world_from_camera.t);
+      for (int n = 0; n < kColumns * kRows; ++n) {
+        const Vec3d d = frame.camera.direction((n % kColumns + 0.5) * frame.camera.width_px / kColumns,
+                                               (n / kColumns + 0.5) * frame.camera.height_px / kRows);
+        const Vec3d w = frame.world_from_camera.rotate(d);
+        const RayHit hit = renderer_->rays().trace(frame.world_from_camera.t, w);
+        if (!hit.hit()) continue;
+        const Vec3d p = frame.world_from_camera.t + w * hit.distance_m;
+        bool inside = true;
+        for (int k = 0; k < 3; ++k) inside = inside && p[k] >= grown.lo[k] && p[k] <= grown.hi[k];
+        if (!inside) continue;
+        nearest = std::min(nearest, hit.distance_m);
+        farthest = std::max(farthest, hit.distance_m);
+        info.bounds.include(p);
+      }
+    }
+    for (int k = 0; k < 3; ++k) {  // the grid misses the outermost corners
+      info.bounds.lo[k] -= 0.05;
+      info.bounds.hi[k] += 0.05;
+    }
+    info.near_hint_m = params_.near_m > 0 ? params_.near_m : farthest > 0 ? 0.8 * nearest : 0;
+    info.far_hint_m = params_.far_m > 0 ? params_.far_m : 1.05 * farthest;
+  }
+
+  ObjRoomParams params_;
+  std::string root_;
+  std::string config_dir_;
+  std::unique_ptr<MeshRenderer> renderer_;
+  CastCache cast_;
+  SceneInfo info_;
+};
 
 SEMFIELD_PLUGIN_MODULE(obj_room, "1.0", [](Registry& registry) {
   registry.add_dataset<ObjRoom, ObjRoomParams>("obj_room",

@@ -2,7 +2,7 @@
 #include <filesystem>
 #include <sstream>
 
-#include "datasets/obj_room/mesh_render.h"
+#include "datasets/obj_room/obj_room.h"
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 

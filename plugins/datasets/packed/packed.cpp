@@ -1,14 +1,21 @@
-// Packed scenes.
-#include "datasets/packed/packed.h"
-
+// Packed scenes: one file written by `semfield pack`; needs no image library.
 #include <filesystem>
+#include <optional>
+#include <string>
 
+#include "config/params.h"
 #include "core/check.h"
+#include "loading/packed_scene.h"
+#include "plugin/dataset.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {
+
+struct PackedParams {
+  std::string file;
+};
 
 void describe(ParamVisitor& visit, PackedParams& p) {
   SEMFIELD_PARAM(visit, p, file, "the packed scene, as `semfield pack` wrote it");
@@ -47,27 +54,35 @@ std::string recognise(const std::string& path, PackedParams& p) {
   return "a packed scene";
 }
 
-Packed::Packed(const PackedParams& params, const DatasetBuild& build)
-    : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
+class Packed final : public Dataset {
+ public:
+  Packed(const PackedParams& params, const DatasetBuild& build)
+      : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
 
-SceneInfo Packed::open(Diagnostics& diagnostics) {
-  scene_.reset();
-  scene_.emplace(path_);
-  SceneInfo info = scene_->info();
-  // A checksum proves that the bytes arrived, not that a writer was sane: poses and cameras are checked as everywhere.
-  for (FrameInfo& frame : info.frames) {
-    check_camera(frame.camera, frame_place(frame), diagnostics);
-    if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) == PoseState::not_finite) {
-      diagnostics.error("scene.pose.not_finite", frame_place(frame), "pose is not finite", "pack the scene again");
+  SceneInfo open(Diagnostics& diagnostics) override {
+    scene_.reset();
+    scene_.emplace(path_);
+    SceneInfo info = scene_->info();
+    // A checksum proves that the bytes arrived, not that a writer was sane: poses and cameras are checked as
+    // everywhere.
+    for (FrameInfo& frame : info.frames) {
+      check_camera(frame.camera, frame_place(frame), diagnostics);
+      if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) == PoseState::not_finite) {
+        diagnostics.error("scene.pose.not_finite", frame_place(frame), "pose is not finite", "pack the scene again");
+      }
     }
+    return info;
   }
-  return info;
-}
 
-void Packed::read(int frame, FrameBuffer& out) const {
-  SEMFIELD_CHECK(scene_.has_value(), "open() comes before read()");
-  scene_->read(frame, out);
-}
+  void read(int frame, FrameBuffer& out) const override {
+    SEMFIELD_CHECK(scene_.has_value(), "open() comes before read()");
+    scene_->read(frame, out);
+  }
+
+ private:
+  std::string path_;
+  std::optional<PackedScene> scene_;
+};
 
 SEMFIELD_PLUGIN_MODULE(packed, "1.0", [](Registry& registry) {
   registry.add_dataset<Packed, PackedParams>(

@@ -1,6 +1,6 @@
 // Packed scenes as a dataset.
-#include "datasets/packed/packed.h"
-
+#include "loading/packed_scene.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -19,7 +19,7 @@ TEST(Packed, PosesAreCheckedAndPathsStartAtTheConfig) {
     out = render_room(room_camera(), Pose{});
     out.label.clear();
   });
-  Packed packed(PackedParams{"s"}, DatasetBuild{folder});
+  NamedDataset packed("packed", {{"file", "s"}}, DatasetBuild{folder});
   Diagnostics d;
   EXPECT_EQ(packed.open(d).frames.size(), 2u);
   ASSERT_EQ(d.error_count(), 1);

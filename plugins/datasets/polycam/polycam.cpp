@@ -1,10 +1,9 @@
-// Polycam's raw exports.
-#include "datasets/polycam/polycam.h"
-
+// Raw exports of Polycam from a phone with LiDAR: keyframes/ with images, cameras, depth and confidence.
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
 #include "system/files.h"
@@ -13,6 +12,8 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
+
+struct PolycamParams : PhotographParams {};
 
 namespace {
 
@@ -63,9 +64,9 @@ std::string recognise(const std::string& path, PolycamParams& p) {
   return "";
 }
 
-SceneInfo Polycam::open(Diagnostics& diagnostics) {
-  files_.require({"", "keyframes", "keyframes/images", "keyframes/cameras"}, "a raw export of Polycam");
-  const fs::path keyframes = fs::path(files_.root()) / "keyframes";
+SceneInfo find_photographs(const PolycamParams&, PosedPhotographs& files, Diagnostics& diagnostics) {
+  files.require({"", "keyframes", "keyframes/images", "keyframes/cameras"}, "a raw export of Polycam");
+  const fs::path keyframes = fs::path(files.root()) / "keyframes";
   const std::string kind = is_corrected(keyframes) ? "corrected_" : "";
   const bool has_depth = fs::is_directory(keyframes / "depth");
   std::vector<PosedPhotograph> photos;
@@ -79,13 +80,13 @@ SceneInfo Polycam::open(Diagnostics& diagnostics) {
     photo.confidence = (keyframes / "confidence" / (stem + ".png")).string();
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files_.open(photos, true, diagnostics);
+  SceneInfo info = files.open(photos, true, diagnostics);
   info.tracked = true;
   return info;
 }
 
 SEMFIELD_PLUGIN_MODULE(polycam, "1.0", [](Registry& registry) {
-  registry.add_dataset<Polycam, PolycamParams>(
+  registry.add_dataset<PhotographDataset<PolycamParams>, PolycamParams>(
       "polycam", "Raw exports of Polycam: photographs, poses and LiDAR depth of a phone.");
 })
 

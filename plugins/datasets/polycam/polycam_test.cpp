@@ -1,10 +1,9 @@
 // Raw exports of Polycam: corrected cameras, confidence, depth of another size, and files that do not fit.
-#include "datasets/polycam/polycam.h"
-
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "scene/scene.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -42,17 +41,10 @@ std::string export_of(const std::string& images = "images", const std::string& c
   return folder;
 }
 
-PolycamParams params_of(const std::string& root, Confidence least = Confidence::medium) {
-  PolycamParams p;
-  p.root = root;
-  p.least_confidence = least;
-  return p;
-}
-
 TEST(Polycam, PosesAreOpenGlAndDepthIsAtTheNearestPixel) {
   const std::string folder = export_of();
   Diagnostics d;
-  Polycam scene(params_of(folder), {});
+  NamedDataset scene("polycam", {{"root", folder}});
   const SceneInfo info = scene.open(d);
   EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
   ASSERT_EQ(info.frames.size(), 2u);
@@ -76,9 +68,9 @@ TEST(Polycam, PosesAreOpenGlAndDepthIsAtTheNearestPixel) {
 
 TEST(Polycam, ConfidenceIsAskedForAsTheConfigurationSays) {
   const std::string folder = export_of();
-  for (const auto& [least, lost] : {std::pair{Confidence::low, 0}, {Confidence::medium, 2}, {Confidence::high, 4}}) {
+  for (const auto& [least, lost] : {std::pair{"low", 0}, {"medium", 2}, {"high", 4}}) {
     Diagnostics d;
-    Polycam scene(params_of(folder, least), {});
+    NamedDataset scene("polycam", {{"root", folder}, {"least_confidence", least}});
     scene.open(d);
     FrameBuffer out;
     scene.read(0, out);
@@ -90,11 +82,12 @@ TEST(Polycam, CorrectedCamerasTakeThePlaceOfTheOthers) {
   const std::string folder = export_of("corrected_images", "corrected_cameras");
   for (const char* name : {"images", "cameras"}) std::filesystem::create_directories(folder + "/keyframes/" + name);
   Diagnostics d;
-  EXPECT_EQ(Polycam(params_of(folder), {}).open(d).frames.size(), 2u);
-  PolycamParams p;
-  EXPECT_EQ(recognise(folder, p), "a raw export of Polycam");
-  EXPECT_EQ(recognise(folder + "/keyframes", p), "a raw export of Polycam");
-  EXPECT_EQ(p.root, folder);
+  EXPECT_EQ(NamedDataset("polycam", {{"root", folder}}).open(d).frames.size(), 2u);
+  for (const char* part : {"", "/keyframes"}) {
+    const Recognised found("polycam", folder + part);
+    EXPECT_EQ(found.what, "a raw export of Polycam");
+    EXPECT_EQ(found.root, folder);
+  }
 }
 
 }  // namespace

@@ -1,6 +1,4 @@
-// Record3D exports.
-#include "datasets/record3d/record3d.h"
-
+// Exports of Record3D from a phone with LiDAR: rgb/, depth/ and metadata.json.
 #include <cmath>
 #include <filesystem>
 #include <limits>
@@ -8,6 +6,7 @@
 
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -17,6 +16,8 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
+
+struct Record3dParams : PhotographParams {};
 
 namespace {
 
@@ -69,24 +70,14 @@ bool set_lens(const std::array<double, 9>& k, Camera& camera) {
   return true;
 }
 
-}  // namespace
+/// What metadata.json tells.
+struct Recording {
+  Camera camera;                             ///< of all frames, at the size that the file states
+  std::vector<std::array<double, 4>> lens;   ///< fx, fy, cx, cy of each frame; empty where the file has none
+  std::vector<std::array<double, 7>> poses;  ///< of each frame: quaternion x, y, z, w, and centre
+};
 
-std::string recognise(const std::string& path, Record3dParams& p) {
-  for (const char* inner : {"", "EXR_RGBD"}) {
-    const fs::path folder = *inner == '\0' ? fs::path(path) : fs::path(path) / inner;
-    if (!is_folder(folder / "rgb") || !is_file(folder / kMetadata)) continue;
-    try {  // other recordings have a file of that name too
-      if (read_pose_file((folder / kMetadata).string()).find("\"poses\"") == std::string::npos) continue;
-    } catch (const Error&) {
-      continue;
-    }
-    p.root = folder.string();
-    return "an export of Record3D";
-  }
-  return "";
-}
-
-Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostics& diagnostics) {
+Recording read_recording(const std::string& path, Diagnostics& diagnostics) {
   const json root = read_pose_json<json>(path, "export the recording again");
   if (!root.is_object())
     throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' is not a map of 'K', 'w', 'h' and 'poses'",
@@ -120,9 +111,26 @@ Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostic
   return out;
 }
 
-SceneInfo Record3d::open(Diagnostics& diagnostics) {
-  files_.require({"", "rgb", kMetadata}, "Record3D");
-  const fs::path root(files_.root());
+}  // namespace
+
+std::string recognise(const std::string& path, Record3dParams& p) {
+  for (const char* inner : {"", "EXR_RGBD"}) {
+    const fs::path folder = *inner == '\0' ? fs::path(path) : fs::path(path) / inner;
+    if (!is_folder(folder / "rgb") || !is_file(folder / kMetadata)) continue;
+    try {  // other recordings have a file of that name too
+      if (read_pose_file((folder / kMetadata).string()).find("\"poses\"") == std::string::npos) continue;
+    } catch (const Error&) {
+      continue;
+    }
+    p.root = folder.string();
+    return "an export of Record3D";
+  }
+  return "";
+}
+
+SceneInfo find_photographs(const Record3dParams&, PosedPhotographs& files, Diagnostics& diagnostics) {
+  files.require({"", "rgb", kMetadata}, "Record3D");
+  const fs::path root(files.root());
   const std::string path = (root / kMetadata).string();
   const Recording recording = read_recording(path, diagnostics);
   std::vector<PosedPhotograph> photos;
@@ -152,14 +160,14 @@ SceneInfo Record3d::open(Diagnostics& diagnostics) {
     }
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files_.open(photos, true, diagnostics);
+  SceneInfo info = files.open(photos, true, diagnostics);
   info.tracked = true;
   return info;
 }
 
 SEMFIELD_PLUGIN_MODULE(record3d, "1.0", [](Registry& registry) {
-  registry.add_dataset<Record3d, Record3dParams>("record3d",
-                                                 "Exports of Record3D: photographs, poses and LiDAR depth of a phone.");
+  registry.add_dataset<PhotographDataset<Record3dParams>, Record3dParams>(
+      "record3d", "Exports of Record3D: photographs, poses and LiDAR depth of a phone.");
 })
 
 }  // namespace semfield

@@ -1,11 +1,10 @@
 // Record3D exports: whose pose is whose, layouts of K, depth of another size, and files that do not fit.
-#include "datasets/record3d/record3d.h"
-
 #include <nlohmann/json.hpp>
 
 #include "loading/frame_source.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/image_bytes.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -46,7 +45,7 @@ std::string export_of(const json& meta, const std::vector<int>& kept = {0, 3, 10
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& d) {
-  return Record3d(Record3dParams{{.root = folder}}, {}).open(d);
+  return NamedDataset("record3d", {{"root", folder}}).open(d);
 }
 
 std::string first_problem(const json& meta, const std::vector<int>& kept = {0, 3}) {
@@ -78,7 +77,7 @@ TEST(Record3d, PosesGoByTheNumberInTheName) {
 
 TEST(Record3d, DepthOfAnotherSizeIsNeverAveraged) {
   if (!images_available()) GTEST_SKIP() << "this build reads no EXR (SEMFIELD_WITH_IMAGES=OFF)";
-  Record3d scene(Record3dParams{{.root = export_of(metadata())}}, {});
+  NamedDataset scene("record3d", {{"root", export_of(metadata())}});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   FrameBuffer got;
@@ -150,9 +149,9 @@ TEST(Record3d, WhatDoesNotFitIsNamed) {
 TEST(Record3d, FramesWithoutDepth) {
   const std::string folder = export_of(metadata());
   std::filesystem::remove(folder + "/depth/3.exr");
-  Record3dParams p{{.root = folder, .missing = MissingFiles::skip}};
   Diagnostics skip;
-  EXPECT_FALSE(Record3d(p, {}).open(skip).frames.at(1).has_depth);
+  NamedDataset scene("record3d", {{"root", folder}, {"missing", "skip"}});
+  EXPECT_FALSE(scene.open(skip).frames.at(1).has_depth);
   EXPECT_FALSE(skip.has_errors());
   if (!images_available()) GTEST_SKIP() << "this build reads no EXR (SEMFIELD_WITH_IMAGES=OFF)";
   plain_write(folder + "/depth/3.exr", exr_of(15, 20, std::vector<float>(300, 1.0f)));
@@ -163,14 +162,14 @@ TEST(Record3d, FramesWithoutDepth) {
 
 TEST(Record3d, ThePhonesFolderIsRecognised) {
   const std::string folder = export_of(metadata());
-  Record3dParams p;
-  EXPECT_EQ(recognise(folder, p), "an export of Record3D");
+  EXPECT_EQ(Recognised("record3d", folder).what, "an export of Record3D");
   const std::string outer = fresh_folder("outer");
   std::filesystem::rename(folder, outer + "/EXR_RGBD");
-  EXPECT_EQ(recognise(outer, p), "an export of Record3D");
-  EXPECT_EQ(p.root, outer + "/EXR_RGBD");
+  const Recognised found("record3d", outer);
+  EXPECT_EQ(found.what, "an export of Record3D");
+  EXPECT_EQ(found.root, outer + "/EXR_RGBD");
   plain_write(outer + "/EXR_RGBD/metadata.json", "{\"camera\": 1}");
-  EXPECT_EQ(recognise(outer, p), "");
+  EXPECT_EQ(Recognised("record3d", outer).what, "");
 }
 
 }  // namespace

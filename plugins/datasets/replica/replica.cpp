@@ -1,21 +1,25 @@
-// Pre-rendered Replica sequences.
-#include "datasets/replica/replica.h"
-
+// Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/; or as NICE-SLAM
+// renders them: traj.txt, results/frame*.jpg and depth*.png.
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <filesystem>
 #include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numeric>
 #include <string>
 #include <tuple>
+#include <vector>
 
+#include "config/params.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "loading/posed_photographs.h"
+#include "plugin/dataset.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -25,6 +29,26 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
+
+enum class ReplicaSplit { by_steps, paper };
+SEMFIELD_CHOICES(ReplicaSplit, "auto", "paper");
+
+struct ReplicaParams {
+  std::string root;
+  std::string sequence;
+  double hfov_deg = 90;
+  std::string label_dir = "semantic_class";
+  std::string test_label_dir;
+  std::string classes;
+  UnknownLabels unknown_labels = UnknownLabels::error;
+  MissingFiles missing = MissingFiles::error;
+  ReplicaSplit split = ReplicaSplit::by_steps;
+  std::int32_t test_every = 8;
+  std::int32_t train_step = 0;
+  std::int32_t train_offset = 0;
+  std::int32_t test_step = 0;
+  std::int32_t test_offset = 0;
+};
 
 namespace {
 
@@ -130,288 +154,310 @@ std::string recognise(const std::string& path, ReplicaParams& p) {
   return is_slam_sequence(path) ? "Replica's traj.txt and results/, as NICE-SLAM has them" : "";
 }
 
-Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
-    : params_(params),
-      root_((fs::path(build.config_dir) / params.root).string()),
-      class_file_(build.path_of(params.classes)) {
-  if (params_.split == ReplicaSplit::paper) {
-    params_.train_step = params_.test_step = 5;
-    params_.train_offset = 0;
-    params_.test_offset = 2;
-  }
-}
-
-std::string Replica::sequence_folder() {
-  slam_ = false;
-  require_folder(root_, "check scene.root");
-  if (!params_.sequence.empty()) {
-    const fs::path folder = fs::path(root_) / params_.sequence;
-    require_folder(folder, "check scene.sequence");
-    slam_ = !fs::exists(folder / "traj_w_c.txt") && is_slam_sequence(folder.string());
-    return folder.string();
-  }
-  if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
-  const fs::path first = fs::path(root_) / "Sequence_1";
-  if (fs::exists(first / "traj_w_c.txt")) return first.string();
-  slam_ = is_slam_sequence(root_);
-  if (slam_) return root_;
-  throw Error(ErrorKind::no_input, "scene.poses.missing", "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
-              "check scene.root; it names the folder of one scene");
-}
-
-std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diagnostics& diagnostics,
-                                                   std::size_t& rows) const {
-  const std::string text = read_pose_file(path);
-  std::vector<Row> out;
-  std::vector<std::string> skipped;
-  std::size_t at = 0;
-  rows = 0;
-  for (int line = 1; at < text.size(); ++line) {
-    const std::size_t end = std::min(text.find('\n', at), text.size());
-    const std::string row = text.substr(at, end - at);
-    at = end + 1;
-    std::vector<double> numbers;
-    const std::string_view bad = parse_numbers(row, numbers);
-    if (numbers.empty() && bad.empty()) continue;
-    const std::string place = path + ":" + std::to_string(line);
-    Row found{static_cast<int>(rows++), {}};
-    if (numbers.size() != 16 || !bad.empty()) {
-      const bool quaternion = bad.empty() && (numbers.size() == 7 || numbers.size() == 8);  // 8: a time stands first
-      diagnostics.error(
-          "scene.pose.format", place,
-          "expected 16 numbers, got " + std::to_string(numbers.size()) +
-              (quaternion                                 ? ", as of a position and a quaternion"
-               : bad.empty()                              ? ""
-               : bad.find('\0') != std::string_view::npos ? " and a NUL byte"
-                                                          : " and the text '" + std::string(bad.substr(0, 40)) + "'"),
-          "write one camera-to-world matrix a line, row by row");
-      continue;
+class Replica final : public Dataset {
+ public:
+  Replica(const ReplicaParams& params, const DatasetBuild& build)
+      : params_(params),
+        root_((fs::path(build.config_dir) / params.root).string()),
+        class_file_(build.path_of(params.classes)) {
+    if (params_.split == ReplicaSplit::paper) {
+      params_.train_step = params_.test_step = 5;
+      params_.train_offset = 0;
+      params_.test_offset = 2;
     }
-    if (split_of(found.number) == Split::unused) continue;
-    if (!check_last_row(numbers, place, diagnostics)) continue;
-    found.pose = pose_from_rows(numbers);
-    const PoseState state = check_pose(found.pose, place, diagnostics);
-    if (state == PoseState::not_finite) skipped.push_back(std::to_string(found.number));
-    if (state == PoseState::good) out.push_back(found);
   }
-  report_skipped(skipped, out.size(), path, diagnostics);
-  return out;
-}
 
-Split Replica::split_of(int number) const {
-  const auto in = [number](std::int32_t step, std::int32_t offset) {
-    return step > 0 && number >= offset && (number - offset) % step == 0;
+  SceneInfo open(Diagnostics& diagnostics) override {
+    const std::string folder = sequence_folder();
+    info_ = {};
+    files_.clear();
+    info_.name = fs::weakly_canonical(root_).filename().string();
+    info_.near_hint_m = 0.1;  // the rooms' range [Zhi21, section 4.1]
+    info_.far_hint_m = 10;
+    for (const std::string& labels : {params_.label_dir, params_.test_label_dir}) {
+      // The default folder may be absent (a scene without labels); one that was asked for may not.
+      const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
+      if (asked && !fs::is_directory(fs::path(folder) / labels)) {
+        diagnostics.error("labels.folder.missing", (fs::path(folder) / labels).string(), "label folder is missing",
+                          "check scene.label_dir and scene.test_label_dir");
+      }
+    }
+    index_labels(folder, diagnostics);
+    std::size_t rows = 0;
+    const std::vector<Row> trajectory =
+        read_trajectory((fs::path(folder) / trajectory_file()).string(), diagnostics, rows);
+    check_poses_for_images(folder, rows, diagnostics);
+
+    const Camera camera = camera_of(folder, trajectory, diagnostics);
+    bool has_labels = false;
+    FrameFileCheck check(params_.missing, "label_dir");
+    check.expect(trajectory.size());
+    for (const Row& row : trajectory) {
+      FrameInfo frame;
+      frame.split = split_of(row.number);
+      FrameFiles files = files_of(folder, row.number, frame.split);
+      frame.name = slam_ ? fs::path(files.color).stem().string() : "rgb_" + std::to_string(row.number);
+      frame.source = files.color;
+      frame.camera = camera;
+      frame.world_from_camera = row.pose;
+      if (!check.present(frame, files, diagnostics)) continue;
+      files.tell_channels(frame);
+      has_labels = has_labels || frame.has_labels;
+      check.check_headers(frame, files, diagnostics);
+      info_.frames.push_back(frame);
+      files_.push_back(files);
+    }
+    std::size_t unused = 0;
+    for (std::size_t number = 0; number < rows; ++number)
+      unused += split_of(static_cast<int>(number)) == Split::unused ? 1 : 0;
+    if (unused > 0) {
+      diagnostics.note("scene.frames.unused", root_,
+                       std::to_string(unused) + " of " + std::to_string(rows) +
+                           " frames are in neither split (scene.split, or train_step and test_step)");
+    }
+    check.report(folder, info_.frames.size(), diagnostics);
+    report_unlabelled(folder, diagnostics);
+    info_.classes =
+        load_class_file(class_file_, {folder, root_, (fs::path(root_) / "habitat").string()}, has_labels, diagnostics);
+    return info_;
+  }
+
+  void read(int frame, FrameBuffer& out) const override {
+    const auto i = static_cast<std::size_t>(frame);
+    read_frame_files(info_.frames.at(i), files_.at(i),
+                     {.depth_unit_m = depth_unit_m_, .unknown_labels = params_.unknown_labels}, info_.classes, out);
+  }
+
+ private:
+  struct Row {
+    int number = 0;  ///< <i> of rgb_<i>.png
+    Pose pose;
   };
-  if (params_.train_step == 0 && params_.test_step == 0)
-    return HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(number),
-                                                std::numeric_limits<std::size_t>::max());
-  if (in(params_.train_step, params_.train_offset)) return Split::train;
-  if (in(params_.test_step, params_.test_offset)) return Split::test;
-  return params_.train_step == 0 ? Split::train : Split::unused;
-}
-
-// More poses than images are missing images; more images than poses have no place in the scene, or all poses are off.
-void Replica::check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const {
-  const std::string_view kPrefix = color_prefix();
-  std::vector<std::int64_t> without;
-  std::size_t images = 0;
-  const fs::path colors = fs::path(folder) / color_folder();
-  if (!fs::is_directory(colors)) return;
-  for (const fs::directory_entry& entry : sorted_folder(colors.string())) {
-    const std::string stem = entry.path().stem().string();
-    std::int64_t number = 0;
-    if (stem.rfind(kPrefix, 0) != 0 || !parse_whole(stem.substr(kPrefix.size()), number)) continue;
-    ++images;
-    if (number >= static_cast<std::int64_t>(rows)) without.push_back(number);
+  std::string sequence_folder() {
+    slam_ = false;
+    require_folder(root_, "check scene.root");
+    if (!params_.sequence.empty()) {
+      const fs::path folder = fs::path(root_) / params_.sequence;
+      require_folder(folder, "check scene.sequence");
+      slam_ = !fs::exists(folder / "traj_w_c.txt") && is_slam_sequence(folder.string());
+      return folder.string();
+    }
+    if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
+    const fs::path first = fs::path(root_) / "Sequence_1";
+    if (fs::exists(first / "traj_w_c.txt")) return first.string();
+    slam_ = is_slam_sequence(root_);
+    if (slam_) return root_;
+    throw Error(ErrorKind::no_input, "scene.poses.missing", "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
+                "check scene.root; it names the folder of one scene");
   }
-  if (without.empty()) return;
-  std::sort(without.begin(), without.end());
-  const std::string trajectory = (fs::path(folder) / trajectory_file()).string();
-  const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from " +
-                               color_prefix() + std::to_string(without.front()) + " on " +
-                               std::to_string(without.size()) + " have none";
-  if (params_.missing == MissingFiles::skip)
-    return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
-  diagnostics.error("scene.pose.count", trajectory, sentence,
-                    "write one pose a line for every image, or leave out what has none with --set scene.missing=skip");
-}
 
-// Label images by number: "semantic_class_12.png", "semantic_class_00012.png", "12.png". Other files (previews) are
-// none.
-void Replica::index_labels(const std::string& folder, Diagnostics& diagnostics) {
-  constexpr std::string_view kPrefix = "semantic_class_";
-  label_files_.clear();
-  for (const std::string& labels : {params_.label_dir, params_.test_label_dir, ReplicaParams{}.label_dir}) {
-    const fs::path where = fs::path(folder) / labels;
-    if (params_.label_dir.empty() && params_.test_label_dir.empty()) return;
-    if (labels.empty() || !fs::is_directory(where) || label_files_.count(labels) > 0) continue;
-    std::map<int, std::string>& files = label_files_[labels];
-    for (const fs::directory_entry& entry : sorted_folder(where.string())) {
-      std::string digits = entry.path().stem().string();
-      if (digits.rfind(kPrefix, 0) == 0) digits.erase(0, kPrefix.size());
-      if (entry.path().extension() != ".png" || digits.empty() || digits.size() > 9 ||
-          digits.find_first_not_of("0123456789") != std::string::npos) {
+  std::string color_folder() const { return slam_ ? "results" : "rgb"; }
+  const char* color_prefix() const { return slam_ ? "frame" : "rgb_"; }
+  const char* trajectory_file() const { return slam_ ? "traj.txt" : "traj_w_c.txt"; }
+  // One camera for all frames, from the first image that can be read; check_headers finds those of another size.
+  Camera camera_of(const std::string& folder, const std::vector<Row>& trajectory, Diagnostics& diagnostics) {
+    Camera camera;
+    std::string image;
+    for (const Row& row : trajectory) {
+      try {
+        image = files_of(folder, row.number, Split::train).color;
+        const ImageSize size = image_size(image);
+        camera.width_px = size.width_px;
+        camera.height_px = size.height_px;
+        break;
+      } catch (const Error&) {
         continue;
       }
-      const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string());
-      if (!fresh) {
-        diagnostics.error("labels.frame.twice", where.string(),
-                          "'" + fs::path(other->second).filename().string() + "' and '" +
-                              entry.path().filename().string() + "' are labels of the same frame",
-                          "keep one of the two");
+    }
+    // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
+    camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
+    camera.cx = 0.5 * camera.width_px;
+    camera.cy = 0.5 * camera.height_px;
+    depth_unit_m_ = 0.001;
+    if (!slam_) return camera;
+    const SlamCamera told = read_slam_camera(folder, diagnostics);
+    depth_unit_m_ = told.depth_unit_m;
+    if (told.camera.width_px == 0 || camera.width_px == 0 || params_.hfov_deg != ReplicaParams{}.hfov_deg)
+      return camera;
+    camera = told.camera;
+    CameraFit sizes;
+    if (sizes.fit(image, "'" + image + "'", camera, diagnostics))
+      (void)(check_principal_point(camera, folder, diagnostics) && check_camera(camera, folder, diagnostics));
+    sizes.report(folder, diagnostics);
+    return camera;
+  }
+
+  std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const {
+    const std::string text = read_pose_file(path);
+    std::vector<Row> out;
+    std::vector<std::string> skipped;
+    std::size_t at = 0;
+    rows = 0;
+    for (int line = 1; at < text.size(); ++line) {
+      const std::size_t end = std::min(text.find('\n', at), text.size());
+      const std::string row = text.substr(at, end - at);
+      at = end + 1;
+      std::vector<double> numbers;
+      const std::string_view bad = parse_numbers(row, numbers);
+      if (numbers.empty() && bad.empty()) continue;
+      const std::string place = path + ":" + std::to_string(line);
+      Row found{static_cast<int>(rows++), {}};
+      if (numbers.size() != 16 || !bad.empty()) {
+        const bool quaternion = bad.empty() && (numbers.size() == 7 || numbers.size() == 8);  // 8: a time stands first
+        diagnostics.error(
+            "scene.pose.format", place,
+            "expected 16 numbers, got " + std::to_string(numbers.size()) +
+                (quaternion                                 ? ", as of a position and a quaternion"
+                 : bad.empty()                              ? ""
+                 : bad.find('\0') != std::string_view::npos ? " and a NUL byte"
+                                                            : " and the text '" + std::string(bad.substr(0, 40)) + "'"),
+            "write one camera-to-world matrix a line, row by row");
+        continue;
+      }
+      if (split_of(found.number) == Split::unused) continue;
+      if (!check_last_row(numbers, place, diagnostics)) continue;
+      found.pose = pose_from_rows(numbers);
+      const PoseState state = check_pose(found.pose, place, diagnostics);
+      if (state == PoseState::not_finite) skipped.push_back(std::to_string(found.number));
+      if (state == PoseState::good) out.push_back(found);
+    }
+    report_skipped(skipped, out.size(), path, diagnostics);
+    return out;
+  }
+
+  Split split_of(int number) const {
+    const auto in = [number](std::int32_t step, std::int32_t offset) {
+      return step > 0 && number >= offset && (number - offset) % step == 0;
+    };
+    if (params_.train_step == 0 && params_.test_step == 0)
+      return HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(number),
+                                                  std::numeric_limits<std::size_t>::max());
+    if (in(params_.train_step, params_.train_offset)) return Split::train;
+    if (in(params_.test_step, params_.test_offset)) return Split::test;
+    return params_.train_step == 0 ? Split::train : Split::unused;
+  }
+
+  // More poses than images are missing images; more images than poses have no place in the scene, or all poses are off.
+  void check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const {
+    const std::string_view kPrefix = color_prefix();
+    std::vector<std::int64_t> without;
+    std::size_t images = 0;
+    const fs::path colors = fs::path(folder) / color_folder();
+    if (!fs::is_directory(colors)) return;
+    for (const fs::directory_entry& entry : sorted_folder(colors.string())) {
+      const std::string stem = entry.path().stem().string();
+      std::int64_t number = 0;
+      if (stem.rfind(kPrefix, 0) != 0 || !parse_whole(stem.substr(kPrefix.size()), number)) continue;
+      ++images;
+      if (number >= static_cast<std::int64_t>(rows)) without.push_back(number);
+    }
+    if (without.empty()) return;
+    std::sort(without.begin(), without.end());
+    const std::string trajectory = (fs::path(folder) / trajectory_file()).string();
+    const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from " +
+                                 color_prefix() + std::to_string(without.front()) + " on " +
+                                 std::to_string(without.size()) + " have none";
+    if (params_.missing == MissingFiles::skip)
+      return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
+    diagnostics.error(
+        "scene.pose.count", trajectory, sentence,
+        "write one pose a line for every image, or leave out what has none with --set scene.missing=skip");
+  }
+
+  FrameFiles files_of(const std::string& folder, int number, Split split) const {
+    const std::string n = std::to_string(number) + ".png";
+    const auto in_folder = [&](const std::string& directory, const char* prefix) {
+      const fs::path where = fs::path(folder) / directory;
+      return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
+    };
+    FrameFiles files;
+    if (slam_) {
+      const std::string digits = std::string(6 - std::min<std::size_t>(6, n.size() - 4), '0') + std::to_string(number);
+      const fs::path results = fs::path(folder) / "results";
+      const fs::path lossless = results / ("frame" + digits + ".png");
+      files.color = fs::exists(lossless) ? lossless.string() : (results / ("frame" + digits + ".jpg")).string();
+      files.depth = (results / ("depth" + digits + ".png")).string();
+    } else {
+      files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
+      files.depth = in_folder("depth", "depth_");
+    }
+    files.label = label_of(number, split);
+    files.instance = in_folder("semantic_instance", "semantic_instance_");
+    return files;
+  }
+
+  // Label images by number: "semantic_class_12.png", "semantic_class_00012.png", "12.png". Other files (previews) are
+  // none.
+  void index_labels(const std::string& folder, Diagnostics& diagnostics) {
+    constexpr std::string_view kPrefix = "semantic_class_";
+    label_files_.clear();
+    for (const std::string& labels : {params_.label_dir, params_.test_label_dir, ReplicaParams{}.label_dir}) {
+      const fs::path where = fs::path(folder) / labels;
+      if (params_.label_dir.empty() && params_.test_label_dir.empty()) return;
+      if (labels.empty() || !fs::is_directory(where) || label_files_.count(labels) > 0) continue;
+      std::map<int, std::string>& files = label_files_[labels];
+      for (const fs::directory_entry& entry : sorted_folder(where.string())) {
+        std::string digits = entry.path().stem().string();
+        if (digits.rfind(kPrefix, 0) == 0) digits.erase(0, kPrefix.size());
+        if (entry.path().extension() != ".png" || digits.empty() || digits.size() > 9 ||
+            digits.find_first_not_of("0123456789") != std::string::npos) {
+          continue;
+        }
+        const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string());
+        if (!fresh) {
+          diagnostics.error("labels.frame.twice", where.string(),
+                            "'" + fs::path(other->second).filename().string() + "' and '" +
+                                entry.path().filename().string() + "' are labels of the same frame",
+                            "keep one of the two");
+        }
       }
     }
   }
-}
 
-std::string Replica::label_of(int number, Split split) const {
-  const auto find = [&](const std::string& labels) {
-    const auto files = label_files_.find(labels);
-    if (files == label_files_.end()) return std::string();
-    const auto file = files->second.find(number);
-    return file == files->second.end() ? std::string() : file->second;
-  };
-  if (split != Split::test) return find(params_.label_dir);
-  if (!params_.test_label_dir.empty()) return find(params_.test_label_dir);
-  const std::string own = find(params_.label_dir);
-  return own.empty() && label_files_.count(params_.label_dir) > 0 ? find(ReplicaParams{}.label_dir) : own;
-}
+  std::string label_of(int number, Split split) const {
+    const auto find = [&](const std::string& labels) {
+      const auto files = label_files_.find(labels);
+      if (files == label_files_.end()) return std::string();
+      const auto file = files->second.find(number);
+      return file == files->second.end() ? std::string() : file->second;
+    };
+    if (split != Split::test) return find(params_.label_dir);
+    if (!params_.test_label_dir.empty()) return find(params_.test_label_dir);
+    const std::string own = find(params_.label_dir);
+    return own.empty() && label_files_.count(params_.label_dir) > 0 ? find(ReplicaParams{}.label_dir) : own;
+  }
 
-void Replica::report_unlabelled(const std::string& folder, Diagnostics& diagnostics) const {
-  for (const auto& [split, what, labels] :
-       {std::tuple{Split::train, "training", params_.label_dir},
-        std::tuple{Split::test, "test", params_.test_label_dir.empty() ? params_.label_dir : params_.test_label_dir}}) {
-    if (label_files_.count(labels) == 0) continue;
-    const auto in_split = [&, wanted = split](const FrameInfo& f) { return f.split == wanted; };
-    const auto all = std::count_if(info_.frames.begin(), info_.frames.end(), in_split);
-    const auto missing = std::count_if(info_.frames.begin(), info_.frames.end(),
-                                       [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
-    const std::string place = (fs::path(folder) / labels).string();
-    if (all > 0 && missing == all) {
-      diagnostics.error("labels.frames.missing", place, std::string("no label image of any ") + what + " frame in it",
-                        "name them semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
-    } else if (missing > 0) {
-      diagnostics.note(
-          "labels.frames.missing", place,
-          std::to_string(missing) + " of " + std::to_string(all) + " " + what + " frames have no label image");
+  void report_unlabelled(const std::string& folder, Diagnostics& diagnostics) const {
+    for (const auto& [split, what, labels] :
+         {std::tuple{Split::train, "training", params_.label_dir},
+          std::tuple{Split::test, "test",
+                     params_.test_label_dir.empty() ? params_.label_dir : params_.test_label_dir}}) {
+      if (label_files_.count(labels) == 0) continue;
+      const auto in_split = [&, wanted = split](const FrameInfo& f) { return f.split == wanted; };
+      const auto all = std::count_if(info_.frames.begin(), info_.frames.end(), in_split);
+      const auto missing = std::count_if(info_.frames.begin(), info_.frames.end(),
+                                         [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
+      const std::string place = (fs::path(folder) / labels).string();
+      if (all > 0 && missing == all) {
+        diagnostics.error("labels.frames.missing", place, std::string("no label image of any ") + what + " frame in it",
+                          "name them semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
+      } else if (missing > 0) {
+        diagnostics.note(
+            "labels.frames.missing", place,
+            std::to_string(missing) + " of " + std::to_string(all) + " " + what + " frames have no label image");
+      }
     }
   }
-}
 
-FrameFiles Replica::files_of(const std::string& folder, int number, Split split) const {
-  const std::string n = std::to_string(number) + ".png";
-  const auto in_folder = [&](const std::string& directory, const char* prefix) {
-    const fs::path where = fs::path(folder) / directory;
-    return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
-  };
-  FrameFiles files;
-  if (slam_) {
-    const std::string digits = std::string(6 - std::min<std::size_t>(6, n.size() - 4), '0') + std::to_string(number);
-    const fs::path results = fs::path(folder) / "results";
-    const fs::path lossless = results / ("frame" + digits + ".png");
-    files.color = fs::exists(lossless) ? lossless.string() : (results / ("frame" + digits + ".jpg")).string();
-    files.depth = (results / ("depth" + digits + ".png")).string();
-  } else {
-    files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
-    files.depth = in_folder("depth", "depth_");
-  }
-  files.label = label_of(number, split);
-  files.instance = in_folder("semantic_instance", "semantic_instance_");
-  return files;
-}
-
-// One camera for all frames, from the first image that can be read; check_headers finds those of another size.
-Camera Replica::camera_of(const std::string& folder, const std::vector<Row>& trajectory, Diagnostics& diagnostics) {
-  Camera camera;
-  std::string image;
-  for (const Row& row : trajectory) {
-    try {
-      image = files_of(folder, row.number, Split::train).color;
-      const ImageSize size = image_size(image);
-      camera.width_px = size.width_px;
-      camera.height_px = size.height_px;
-      break;
-    } catch (const Error&) {
-      continue;
-    }
-  }
-  // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
-  camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
-  camera.cx = 0.5 * camera.width_px;
-  camera.cy = 0.5 * camera.height_px;
-  depth_unit_m_ = 0.001;
-  if (!slam_) return camera;
-  const SlamCamera told = read_slam_camera(folder, diagnostics);
-  depth_unit_m_ = told.depth_unit_m;
-  if (told.camera.width_px == 0 || camera.width_px == 0 || params_.hfov_deg != ReplicaParams{}.hfov_deg) return camera;
-  camera = told.camera;
-  CameraFit sizes;
-  if (sizes.fit(image, "'" + image + "'", camera, diagnostics))
-    (void)(check_principal_point(camera, folder, diagnostics) && check_camera(camera, folder, diagnostics));
-  sizes.report(folder, diagnostics);
-  return camera;
-}
-
-SceneInfo Replica::open(Diagnostics& diagnostics) {
-  const std::string folder = sequence_folder();
-  info_ = {};
-  files_.clear();
-  info_.name = fs::weakly_canonical(root_).filename().string();
-  info_.near_hint_m = 0.1;  // the rooms' range [Zhi21, section 4.1]
-  info_.far_hint_m = 10;
-  for (const std::string& labels : {params_.label_dir, params_.test_label_dir}) {
-    // The default folder may be absent (a scene without labels); one that was asked for may not.
-    const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
-    if (asked && !fs::is_directory(fs::path(folder) / labels)) {
-      diagnostics.error("labels.folder.missing", (fs::path(folder) / labels).string(), "label folder is missing",
-                        "check scene.label_dir and scene.test_label_dir");
-    }
-  }
-  index_labels(folder, diagnostics);
-  std::size_t rows = 0;
-  const std::vector<Row> trajectory =
-      read_trajectory((fs::path(folder) / trajectory_file()).string(), diagnostics, rows);
-  check_poses_for_images(folder, rows, diagnostics);
-
-  const Camera camera = camera_of(folder, trajectory, diagnostics);
-  bool has_labels = false;
-  FrameFileCheck check(params_.missing, "label_dir");
-  check.expect(trajectory.size());
-  for (const Row& row : trajectory) {
-    FrameInfo frame;
-    frame.split = split_of(row.number);
-    FrameFiles files = files_of(folder, row.number, frame.split);
-    frame.name = slam_ ? fs::path(files.color).stem().string() : "rgb_" + std::to_string(row.number);
-    frame.source = files.color;
-    frame.camera = camera;
-    frame.world_from_camera = row.pose;
-    if (!check.present(frame, files, diagnostics)) continue;
-    files.tell_channels(frame);
-    has_labels = has_labels || frame.has_labels;
-    check.check_headers(frame, files, diagnostics);
-    info_.frames.push_back(frame);
-    files_.push_back(files);
-  }
-  std::size_t unused = 0;
-  for (std::size_t number = 0; number < rows; ++number)
-    unused += split_of(static_cast<int>(number)) == Split::unused ? 1 : 0;
-  if (unused > 0) {
-    diagnostics.note("scene.frames.unused", root_,
-                     std::to_string(unused) + " of " + std::to_string(rows) +
-                         " frames are in neither split (scene.split, or train_step and test_step)");
-  }
-  check.report(folder, info_.frames.size(), diagnostics);
-  report_unlabelled(folder, diagnostics);
-  info_.classes =
-      load_class_file(class_file_, {folder, root_, (fs::path(root_) / "habitat").string()}, has_labels, diagnostics);
-  return info_;
-}
-
-void Replica::read(int frame, FrameBuffer& out) const {
-  const auto i = static_cast<std::size_t>(frame);
-  read_frame_files(info_.frames.at(i), files_.at(i),
-                   {.depth_unit_m = depth_unit_m_, .unknown_labels = params_.unknown_labels}, info_.classes, out);
-}
+  ReplicaParams params_;
+  std::string root_;
+  std::string class_file_;
+  bool slam_ = false;  ///< in the layout of NICE-SLAM
+  double depth_unit_m_ = 0.001;
+  std::map<std::string, std::map<int, std::string>> label_files_;  ///< folder as in the parameters -> <i> -> path
+  SceneInfo info_;
+  std::vector<FrameFiles> files_;
+};
 
 SEMFIELD_PLUGIN_MODULE(replica, "1.0", [](Registry& registry) {
   registry.add_dataset<Replica, ReplicaParams>(

@@ -1,11 +1,10 @@
 // Replica layout: camera, splits, sequences, label folders.
-#include "datasets/replica/replica.h"
-
 #include <clocale>
 
 #include "core/error.h"
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/labels/reader_case.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -14,12 +13,16 @@ namespace {
 
 using namespace testing_room;
 
+NamedDataset even_odd(const std::string& folder, testkit::Settings settings = {}) {
+  settings.insert({{"root", folder}, {"train_step", "2"}, {"test_step", "2"}, {"test_offset", "1"}});
+  return NamedDataset("replica", settings);
+}
+
 TEST(Replica, PaperSplitCameraAndPixels) {
   const std::string folder = fresh_folder("room");
   std::filesystem::create_directories(folder + "/Sequence_1");
   write_replica(folder + "/Sequence_1", 8);
-  ReplicaParams p{.root = folder, .split = ReplicaSplit::paper};
-  Replica replica(p, {});
+  NamedDataset replica("replica", {{"root", folder}, {"split", "paper"}});
   Diagnostics d;
   const SceneInfo info = replica.open(d);
   EXPECT_FALSE(d.has_errors());
@@ -53,10 +56,10 @@ TEST(Replica, TheLayoutOfNiceSlam) {
     poses += pose_line(room_pose(i));
   }
   plain_write(folder + "/traj.txt", poses);
-  ReplicaParams p{.test_every = 0};
-  EXPECT_HAS(recognise(folder, p), "traj.txt");
-  EXPECT_EQ(p.root, folder);
-  Replica scene(p, {});
+  const Recognised found("replica", folder);
+  EXPECT_HAS(found.what, "traj.txt");
+  EXPECT_EQ(found.root, folder);
+  NamedDataset scene("replica", {{"root", folder}, {"test_every", "0"}});
   const auto lens = [&] {
     Diagnostics d;
     const SceneInfo info = scene.open(d);
@@ -91,20 +94,21 @@ TEST(Replica, TheLayoutOfNiceSlam) {
 TEST(Replica, EveryFrameIsInOneSplitByDefault) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 10);
-  const auto splits = [&](const ReplicaParams& p) {
+  testkit::Settings settings{{"root", folder}};
+  const auto splits = [&] {
     Diagnostics d;
     std::string out;
-    for (const FrameInfo& f : Replica(p, {}).open(d).frames) out += f.split == Split::test ? 'T' : '.';
+    for (const FrameInfo& f : NamedDataset("replica", settings).open(d).frames)
+      out += f.split == Split::test ? 'T' : '.';
     EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
     return out;
   };
-  ReplicaParams p{.root = folder};
-  EXPECT_EQ(splits(p), "T.......T.");
-  p.test_every = 0;
-  EXPECT_EQ(splits(p), "..........");
-  p.test_step = 4;
-  p.test_offset = 3;
-  EXPECT_EQ(splits(p), "...T...T..");
+  EXPECT_EQ(splits(), "T.......T.");
+  settings["test_every"] = "0";
+  EXPECT_EQ(splits(), "..........");
+  settings["test_step"] = "4";
+  settings["test_offset"] = "3";
+  EXPECT_EQ(splits(), "...T...T..");
 }
 
 TEST(Replica, MissingFilesAreLeftOutWhereAskedAndMoveNoOtherFrame) {
@@ -112,10 +116,8 @@ TEST(Replica, MissingFilesAreLeftOutWhereAskedAndMoveNoOtherFrame) {
   write_replica(folder, 10);
   for (const char* gone : {"/rgb/rgb_3.png", "/rgb/rgb_8.png", "/depth/depth_1.png"})
     std::filesystem::remove(folder + gone);
-  ReplicaParams p{.root = folder};
-  p.missing = MissingFiles::skip;
   Diagnostics d;
-  Replica replica(p, {});
+  NamedDataset replica("replica", {{"root", folder}, {"missing", "skip"}});
   const LoadedScene scene = load_scene(replica, {}, d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
   EXPECT_HAS(all_said(d), "2 frames are left out", "rgb_3, rgb_8", "1 of 8 frames", "rgb_1");
@@ -131,13 +133,7 @@ TEST(Replica, TestLabelsMayComeFromAnotherFolder) {
   for (int i = 0; i < 4; i += 2)
     write_png_gray8(folder + "/cnn/semantic_class_" + std::to_string(i) + ".png", 40, 30,
                     std::vector<std::uint8_t>(1200, 3));
-  ReplicaParams p{.root = folder,
-                  .label_dir = "cnn",
-                  .test_label_dir = "semantic_class",
-                  .train_step = 2,
-                  .test_step = 2,
-                  .test_offset = 1};
-  Replica replica(p, {});
+  NamedDataset replica = even_odd(folder, {{"label_dir", "cnn"}, {"test_label_dir", "semantic_class"}});
   Diagnostics d;
   (void)replica.open(d);
   EXPECT_FALSE(d.has_errors());
@@ -146,10 +142,6 @@ TEST(Replica, TestLabelsMayComeFromAnotherFolder) {
   replica.read(1, test);
   EXPECT_EQ(train.label, std::vector<std::int16_t>(1200, 2));
   EXPECT_EQ(test.label, render_room(room_camera(), room_pose(1)).label);
-}
-
-ReplicaParams even_odd(const std::string& folder) {
-  return ReplicaParams{.root = folder, .train_step = 2, .test_step = 2, .test_offset = 1};
 }
 
 // Frames 0 and 4 of 0, 2, 4 have noisy labels (class id 3 everywhere), one name with zeros, one without a prefix.
@@ -165,9 +157,7 @@ std::string write_noise(const std::string& name) {
 }
 
 TEST(Replica, NestedLabelFoldersOfTrainingFramesWithOrWithoutZeros) {
-  ReplicaParams p = even_odd(write_noise("room"));
-  p.label_dir = "semantic_instance_noise/sort_0.5";
-  Replica replica(p, {});
+  NamedDataset replica = even_odd(write_noise("room"), {{"label_dir", "semantic_instance_noise/sort_0.5"}});
   Diagnostics d;
   const SceneInfo info = replica.open(d);
   EXPECT_HAS(all_said(d), "sort_0.5: 1 of 3 training frames have no label image");
@@ -186,22 +176,21 @@ TEST(Replica, NestedLabelFoldersOfTrainingFramesWithOrWithoutZeros) {
 
 TEST(Replica, LabelFoldersThatHoldNothingOrTwoOfAFrame) {
   const std::string folder = write_noise("room");
-  ReplicaParams p = even_odd(folder);
-  p.label_dir = "semantic_instance_noise";
+  std::string label_dir = "semantic_instance_noise";
   Diagnostics none;
-  Replica(p, {}).open(none);
+  even_odd(folder, {{"label_dir", label_dir}}).open(none);
   ASSERT_TRUE(none.has_errors());
   EXPECT_HAS(none.all()[0].text(), folder + "/semantic_instance_noise", "no label image", "semantic_class_<i>.png");
-  p.label_dir += "/sort_0.5";
+  label_dir += "/sort_0.5";
   for (const char* name : {"/04.png", "/004.png", "/0004.png"})
-    write_png_gray8(folder + "/" + p.label_dir + name, 40, 30, std::vector<std::uint8_t>(1200, 3));
+    write_png_gray8(folder + "/" + label_dir + name, 40, 30, std::vector<std::uint8_t>(1200, 3));
   Diagnostics twice;
-  Replica(p, {}).open(twice);
+  even_odd(folder, {{"label_dir", label_dir}}).open(twice);
   EXPECT_EQ(twice.error_count(), 3);
   // In the order of their names, whatever that of the file system is.
   std::string wanted;
   for (const std::string name : {"004", "04", "4"})
-    wanted += folder + "/" + p.label_dir + ": '0004.png' and '" + name +
+    wanted += folder + "/" + label_dir + ": '0004.png' and '" + name +
               ".png' are labels of the same frame; keep one of the two\n";
   EXPECT_HAS(texts(twice), wanted);
 }
@@ -209,7 +198,7 @@ TEST(Replica, LabelFoldersThatHoldNothingOrTwoOfAFrame) {
 // Degraded labels that only train: the scene's own stay the truth of every pose.
 TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
   const std::string folder = write_noise("room");
-  Replica replica(even_odd(folder), {});
+  NamedDataset replica = even_odd(folder);
   Diagnostics d;
   LoadedScene scene = load_scene(replica, {}, d);
   LabelConfig config;
@@ -233,10 +222,10 @@ TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
 TEST(Replica, PosesDoNotDependOnTheLocale) {
   const std::string folder = write_noise("room");
   Diagnostics d;
-  const SceneInfo plain = Replica(even_odd(folder), {}).open(d);
+  const SceneInfo plain = even_odd(folder).open(d);
   if (std::setlocale(LC_ALL, "de_DE.UTF-8") == nullptr)
     GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed here: no comma was tried";
-  const SceneInfo german = Replica(even_odd(folder), {}).open(d);
+  const SceneInfo german = even_odd(folder).open(d);
   std::setlocale(LC_ALL, "C");
   EXPECT_FALSE(d.has_errors());
   ASSERT_EQ(german.frames.size(), plain.frames.size());

@@ -1,9 +1,8 @@
 // Exported ScanNet scenes: cameras of two sizes, label tables, frames taken, trouble.
-#include "datasets/scannet/scannet.h"
-
 #include <algorithm>
 
 #include "loading/frame_source.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -55,10 +54,13 @@ std::string write_scannet(const std::string& name, int frames) {
   return folder;
 }
 
-ScannetParams params_of(const std::string& folder) { return ScannetParams{.root = folder}; }
+NamedDataset scene_of(const std::string& folder, testkit::Settings settings = {}) {
+  settings["root"] = folder;
+  return NamedDataset("scannet", settings);
+}
 
 TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
-  Scannet scene(params_of(write_scannet("s", 4)), {});
+  NamedDataset scene = scene_of(write_scannet("s", 4));
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
@@ -105,10 +107,8 @@ TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
 
 TEST(Scannet, ClassesByTheTable) {
   const std::string folder = write_scannet("c", 2);
-  ScannetParams p = params_of(folder);
-  p.class_ids = ScannetIds::nyu13;
   Diagnostics d;
-  Scannet eigen(p, {});
+  NamedDataset eigen = scene_of(folder, {{"class_ids", "eigen13"}});
   const SceneInfo info = eigen.open(d);
   ASSERT_EQ(info.classes.valid_count(), 4);  // 3, 5, 7, 12
   EXPECT_EQ(info.classes.valid(3).id, 12);
@@ -119,14 +119,11 @@ TEST(Scannet, ClassesByTheTable) {
   const auto doors = std::count(want.label.begin(), want.label.end(), 5);  // raw id 106 has none of the 13 classes
   EXPECT_GT(doors, 100);
   EXPECT_NEAR(std::count(pixels.label.begin(), pixels.label.end(), kVoid), doors, 60);
-  p.class_ids = ScannetIds::raw;
-  Scannet raw(p, {});
-  const SceneInfo by_raw = raw.open(d);
+  const SceneInfo by_raw = scene_of(folder, {{"class_ids", "raw"}}).open(d);
   ASSERT_EQ(by_raw.classes.valid_count(), 6);
   EXPECT_EQ(by_raw.classes.valid(1).id, 102);
   EXPECT_EQ(by_raw.classes.valid(1).name, "east wall");
-  p.classes = "elsewhere.tsv";
-  Scannet elsewhere(p, {});
+  NamedDataset elsewhere = scene_of(folder, {{"class_ids", "raw"}, {"classes", "elsewhere.tsv"}});
   Diagnostics lost;
   (void)load_scene(elsewhere, {}, lost);
   EXPECT_HAS(all_said(lost), "elsewhere.tsv");
@@ -135,11 +132,8 @@ TEST(Scannet, ClassesByTheTable) {
 TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
   const std::string folder = write_scannet("f", 11);
   plain_write(folder + "/pose/10.txt", "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n0 0 0 1\n");
-  ScannetParams p = params_of(folder);
-  p.max_frames = 5;
-  p.test_every = 3;
   Diagnostics d;
-  const SceneInfo info = Scannet(p, {}).open(d);
+  const SceneInfo info = scene_of(folder, {{"max_frames", "5"}, {"test_every", "3"}}).open(d);
   ASSERT_EQ(info.frames.size(), 5u);
   const char* names[] = {"0", "30", "50", "70", "90"};  // ranks 0, 2, 4, 6, 8 of ten
   for (std::size_t i = 0; i < 5; ++i) {
@@ -152,9 +146,7 @@ TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
 TEST(Scannet, WhatIsMissingIsLeftOutWhereAsked) {
   const std::string folder = write_scannet("m", 5);
   for (const char* gone : {"/pose/10.txt", "/depth/20.png"}) std::filesystem::remove(folder + gone);
-  ScannetParams p = params_of(folder);
-  p.missing = MissingFiles::skip;
-  Scannet scene(p, {});
+  NamedDataset scene = scene_of(folder, {{"missing", "skip"}});
   Diagnostics d;
   const LoadedScene s = load_scene(scene, {}, d);
   ASSERT_FALSE(d.has_errors()) << all_said(d);
@@ -166,7 +158,7 @@ TEST(Scannet, WhatIsMissingIsLeftOutWhereAsked) {
 TEST(Scannet, SomeFramesWithoutLabels) {
   const std::string folder = write_scannet("n", 4);
   std::filesystem::remove(folder + "/label-filt/20.png");
-  Scannet scene(params_of(folder), {});
+  NamedDataset scene = scene_of(folder);
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   EXPECT_FALSE(d.has_errors());

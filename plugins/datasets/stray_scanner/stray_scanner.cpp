@@ -1,6 +1,4 @@
-// Recordings of Stray Scanner.
-#include "datasets/stray_scanner/stray_scanner.h"
-
+// Recordings of Stray Scanner from a phone with LiDAR: odometry.csv, camera_matrix.csv, rgb/, depth/, confidence/.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -10,6 +8,7 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -18,6 +17,8 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+struct StrayScannerParams : PhotographParams {};
 
 namespace {
 
@@ -99,9 +100,9 @@ std::string recognise(const std::string& path, StrayScannerParams& p) {
   return "a recording of Stray Scanner";
 }
 
-SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
-  files_.require({"", "odometry.csv", "camera_matrix.csv"}, "Stray Scanner");
-  const fs::path root(files_.root());
+SceneInfo find_photographs(const StrayScannerParams&, PosedPhotographs& files, Diagnostics& diagnostics) {
+  files.require({"", "odometry.csv", "camera_matrix.csv"}, "Stray Scanner");
+  const fs::path root(files.root());
   const std::map<std::int64_t, std::string> images = numbered_photographs((root / "rgb").string(), diagnostics);
   if (images.empty() && !diagnostics.has_errors())
     throw Error(ErrorKind::no_input, "scene.frames.none", "no photographs in '" + (root / "rgb").string() + "'",
@@ -139,13 +140,13 @@ SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
     photo.confidence = (root / "confidence" / name).string();
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files_.open(photos, false, diagnostics);
+  SceneInfo info = files.open(photos, false, diagnostics);
   info.tracked = true;
   return info;
 }
 
 SEMFIELD_PLUGIN_MODULE(stray_scanner, "1.0", [](Registry& registry) {
-  registry.add_dataset<StrayScanner, StrayScannerParams>(
+  registry.add_dataset<PhotographDataset<StrayScannerParams>, StrayScannerParams>(
       "stray_scanner", "Recordings of Stray Scanner: frames of a video, poses and LiDAR depth of a phone.");
 })
 

@@ -1,9 +1,8 @@
 // Recordings of Stray Scanner: columns by name, numbers of frames, and files that do not fit.
-#include "datasets/stray_scanner/stray_scanner.h"
-
 #include <algorithm>
 
 #include "scene/camera.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -40,9 +39,7 @@ std::string recording_of(const std::string& odometry, const std::string& matrix 
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& d) {
-  StrayScannerParams p;
-  p.root = folder;
-  return StrayScanner(p, {}).open(d);
+  return NamedDataset("stray_scanner", {{"root", folder}}).open(d);
 }
 
 TEST(StrayScanner, PosesGoByTheFramesNumber) {
@@ -62,9 +59,7 @@ TEST(StrayScanner, PosesGoByTheFramesNumber) {
 }
 
 TEST(StrayScanner, DepthOfLowConfidenceCountsAsNone) {
-  StrayScannerParams p;
-  p.root = recording_of(kHeader + row_of(0) + row_of(3));
-  StrayScanner scene(p, {});
+  NamedDataset scene("stray_scanner", {{"root", recording_of(kHeader + row_of(0) + row_of(3))}});
   Diagnostics d;
   scene.open(d);
   FrameBuffer out;

@@ -1,9 +1,8 @@
-// transforms.json scenes.
-#include "datasets/transforms_json/transforms_json.h"
-
+// transforms.json scenes of nerfstudio, instant-ngp and Blender.
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -14,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "config/params.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "formats/image_io.h"
@@ -21,6 +21,7 @@
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "loading/posed_photographs.h"
+#include "plugin/dataset.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
 #include "system/files.h"
@@ -29,6 +30,51 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
+
+/// Intrinsics as written; a frame's own values override the file's. Image size 0 where only the image can tell.
+struct TransformsLens {
+  double w = 0, h = 0, camera_angle_x = 0, camera_angle_y = 0;
+  std::optional<double> cx, cy;
+  Camera told;  ///< focal lengths (fl_x, fl_y), kind and distortion
+};
+
+struct TransformsFrame {
+  std::string place;      ///< "transforms.json: frame 3 (images/0003.jpg)"
+  std::string file_path;  ///< as written
+  FrameFiles files;       ///< resolved; colour with its extension found
+  TransformsLens lens;
+  std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
+  std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
+  std::map<std::string, std::string> channels;  ///< name to file, of those that it has
+  double depth_unit_m = 0;                      ///< of one step of its depth image; 0 = not told
+};
+
+struct TransformsIndex {
+  std::vector<TransformsFrame> frames;
+  bool metric = false;            ///< its poses are in metres
+  std::string unclear_depth_key;  ///< a key that tells a unit of depth in a way that is not known; "" = none
+  Box limit;                      ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
+  /// Of the camera that took the depth images, where it is another: its lens, and depth_from_color [4][4] by rows.
+  std::optional<TransformsLens> depth_lens;
+  std::vector<double> depth_from_color;
+  std::string classes;                 ///< path of a class table; "" = not told
+  std::vector<ClassEntry> class_list;  ///< classes written in the file itself
+};
+
+struct TransformsJsonParams {
+  std::string root;
+  std::int32_t test_every = 8;
+  std::string label_key = "label_path";
+  std::string classes;
+  UnknownLabels unknown_labels = UnknownLabels::error;
+  MissingFiles missing = MissingFiles::error;
+  double depth_unit_m = 0;
+  std::int32_t alpha_background = 255;
+  bool alpha_masks = false;
+  std::string masks;
+  bool metric = false;
+  std::vector<std::string> channels;
+};
 
 namespace {
 
@@ -96,16 +142,16 @@ class TransformsValues {
     TransformsLens out = base;
     const std::pair<const char*, double*> fields[] = {{"w", &out.w},
                                                       {"h", &out.h},
-                                                      {"fl_x", &out.fl_x},
-                                                      {"fl_y", &out.fl_y},
+                                                      {"fl_x", &out.told.fx},
+                                                      {"fl_y", &out.told.fy},
                                                       {"camera_angle_x", &out.camera_angle_x},
                                                       {"camera_angle_y", &out.camera_angle_y},
-                                                      {"k1", &out.k1},
-                                                      {"k2", &out.k2},
-                                                      {"k3", &out.k3},
-                                                      {"k4", &out.k4},
-                                                      {"p1", &out.p1},
-                                                      {"p2", &out.p2}};
+                                                      {"k1", &out.told.k1},
+                                                      {"k2", &out.told.k2},
+                                                      {"k3", &out.told.k3},
+                                                      {"k4", &out.told.k4},
+                                                      {"p1", &out.told.p1},
+                                                      {"p2", &out.told.p2}};
     for (const auto& [key, field] : fields) {
       if (const auto value = number(node, key, place)) *field = *value;
     }
@@ -149,8 +195,9 @@ class TransformsValues {
   void read_distortion(const json& node, TransformsLens& lens, const std::string& place) {
     if (!node.contains("distortion_params") || node["distortion_params"].is_null()) return;
     const json& list = node["distortion_params"];
-    const std::pair<const char*, double*> fields[] = {{"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},
-                                                      {"k4", &lens.k4}, {"p1", &lens.p1}, {"p2", &lens.p2}};
+    const std::pair<const char*, double*> fields[] = {{"k1", &lens.told.k1}, {"k2", &lens.told.k2},
+                                                      {"k3", &lens.told.k3}, {"k4", &lens.told.k4},
+                                                      {"p1", &lens.told.p1}, {"p2", &lens.told.p2}};
     if (!list.is_array() || list.size() != std::size(fields) ||
         !std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); })) {
       diagnostics_.error("scene.index.value", place, "'distortion_params' is not a list of six numbers",
@@ -202,7 +249,7 @@ class TransformsValues {
         std::swap(k[5], k[7]);
       }
       if (!found || k[1] != 0 || k[3] != 0 || k[6] != 0 || k[7] != 0 || k[8] != 1) {
-        if (lens.fl_x != 0 || lens.camera_angle_x != 0) continue;  // something else of that name
+        if (lens.told.fx != 0 || lens.camera_angle_x != 0) continue;  // something else of that name
         diagnostics_.error("scene.camera.format", place,
                            std::string("'") + key + "' is not the matrix of a pinhole camera without skew",
                            "write 'fl_x', 'fl_y', 'cx' and 'cy', or [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]");
@@ -216,8 +263,8 @@ class TransformsValues {
                            "keep one of the two");
         return;
       }
-      lens.fl_x = k[0];
-      lens.fl_y = k[4];
+      lens.told.fx = k[0];
+      lens.told.fy = k[4];
       lens.cx = k[2];
       lens.cy = k[5];
       return;
@@ -276,18 +323,17 @@ std::string meant_key(const std::string& key, bool of_frame, const std::vector<s
 
 class FileReader {
  public:
-  FileReader(std::string path, std::optional<Split> split, const std::string& label_key,
-             const std::vector<std::string>& channels, TransformsIndex& out, Diagnostics& diagnostics)
+  FileReader(std::string path, std::optional<Split> split, const TransformsJsonParams& params, TransformsIndex& out,
+             Diagnostics& diagnostics)
       : path_(std::move(path)),
         folder_(fs::path(path_).parent_path()),
         split_(split),
-        label_key_(label_key),
-        channels_(channels),
-        named_{label_key},
+        params_(params),
+        named_{params.label_key},
         values_(diagnostics),
         out_(out),
         diagnostics_(diagnostics) {
-    for (const std::string& name : channels) named_.push_back(name + "_path");
+    for (const std::string& name : params.channels) named_.push_back(name + "_path");
   }
 
   void read() {
@@ -300,7 +346,7 @@ class FileReader {
     const std::optional<LensKind> kind = values_.model(root, LensKind::perspective, path_);
     if (!kind) return;
     TransformsLens lens = values_.lens(root, {}, path_);
-    lens.kind = *kind;
+    lens.told.lens = *kind;
     const double depth_unit_m = values_.depth_unit(root, 0, path_);
     read_depth_camera(root);
     out_.metric = values_.flag(root, "metric", path_).value_or(false) || out_.metric;
@@ -445,7 +491,7 @@ class FileReader {
     const std::optional<LensKind> kind = values_.model(node, LensKind::perspective, place);
     if (!kind) return;
     out_.depth_lens = values_.lens(node, {}, place);
-    out_.depth_lens->kind = *kind;
+    out_.depth_lens->told.lens = *kind;
   }
 
   void read_classes(const json& root) {
@@ -508,19 +554,19 @@ class FileReader {
       return frame;
     }
     frame.place += " (" + frame.file_path + ")";
-    const std::optional<LensKind> kind = values_.model(item, lens.kind, frame.place);
+    const std::optional<LensKind> kind = values_.model(item, lens.told.lens, frame.place);
     if (!kind || !sound || !keys_are_read) return frame;
     frame.lens = values_.lens(item, lens, frame.place);
-    frame.lens.kind = *kind;
+    frame.lens.told.lens = *kind;
     frame.files.color = file_of(folder_ / frame.file_path);
     const char* const depth_key = path_of("depth_path").empty() ? "depth_file_path" : "depth_path";  // nerfstudio's
     for (const auto& [key, file] : {std::pair{depth_key, &FrameFiles::depth},
-                                    {label_key_.c_str(), &FrameFiles::label},
+                                    {params_.label_key.c_str(), &FrameFiles::label},
                                     {"instance_path", &FrameFiles::instance},
                                     {"mask_path", &FrameFiles::mask}})
       if (const std::string path = *key == '\0' ? "" : path_of(key); !path.empty())
         frame.files.*file = file_of(folder_ / path);
-    for (const std::string& name : channels_)
+    for (const std::string& name : params_.channels)
       if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
         frame.channels[name] = names_.of((folder_ / file).string());
     read_matrix(item, frame);
@@ -604,8 +650,7 @@ class FileReader {
   std::string path_;
   fs::path folder_;
   std::optional<Split> split_;
-  std::string label_key_;
-  std::vector<std::string> channels_;
+  const TransformsJsonParams& params_;
   std::vector<std::string> named_;                             // keys of frames that the configuration names
   std::map<std::pair<bool, std::string>, std::string> meant_;  // of frames or not, keys met -> what they look like
   std::set<std::string> unread_maps_;
@@ -615,45 +660,39 @@ class FileReader {
   Diagnostics& diagnostics_;
 };
 
-}  // namespace
-
-TransformsIndex read_transforms(const std::string& root, const std::string& label_key,
-                                const std::vector<std::string>& channels, Diagnostics& diagnostics) {
+// Reads `root`/transforms.json, or transforms_train/val/test.json, or `root` itself when it is a file; without a test
+// file the validation frames are held out. Throws Error when no index is there or it is not JSON.
+TransformsIndex read_transforms(const std::string& root, const TransformsJsonParams& params, Diagnostics& diagnostics) {
   TransformsIndex out;
   const auto read = [&](const std::string& path, std::optional<Split> split) {
-    FileReader(path, split, label_key, channels, out, diagnostics).read();
+    FileReader(path, split, params, out, diagnostics).read();
   };
   const fs::path folder(root);
-  if (is_there(root) && !is_folder(root)) {
-    read(root, std::nullopt);
-    return out;
-  }
-  require_folder(root, "check scene.root");
-  if (is_there(folder / "transforms.json")) {
-    read((folder / "transforms.json").string(), std::nullopt);
+  const bool is_index = is_there(root) && !is_folder(root);
+  if (!is_index) require_folder(root, "check scene.root");
+  const fs::path whole = is_index ? folder : folder / "transforms.json";
+  if (is_there(whole)) {
+    read(whole.string(), std::nullopt);
     return out;
   }
   const bool has_test = is_there(folder / "transforms_test.json");
-  const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train},
-                                                 {"transforms_test.json", Split::test},
-                                                 {"transforms_val.json", has_test ? Split::unused : Split::test}};
   bool any = false;
-  for (const auto& [name, split] : parts) {
+  for (const auto& [name, split] : {std::pair{"transforms_train.json", Split::train},
+                                    {"transforms_test.json", Split::test},
+                                    {"transforms_val.json", has_test ? Split::unused : Split::test}}) {
     if (!is_there(folder / name)) continue;
     any = true;
     read((folder / name).string(), split);
   }
-  if (!any) {
+  if (!any)
     throw Error(ErrorKind::no_input, "scene.poses.missing",
                 "no transforms.json or transforms_train.json in '" + root + "'",
                 "check scene.root; it names the folder of one scene");
-  }
   return out;
 }
 
-namespace {
 constexpr std::int64_t kMostChannelCells = 1 << 20;  // of one axis
-}
+}  // namespace
 
 void describe(ParamVisitor& visit, TransformsJsonParams& p) {
   SEMFIELD_PARAM(
@@ -713,11 +752,6 @@ std::string recognise(const std::string& path, TransformsJsonParams& p) {
   return "";
 }
 
-TransformsJson::TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
-    : params_(params),
-      root_((fs::path(build.config_dir) / params.root).string()),
-      class_file_(build.path_of(params.classes)) {}
-
 namespace {
 
 // Pixel centres at +0.5 already; fx from fl_x or fx = (w / 2) / tan(angle / 2).
@@ -726,29 +760,21 @@ Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t he
     return angle > 0 && angle < M_PI ? 0.5 * size / std::tan(0.5 * angle) : 0.0;
   };
   Camera c;
+  c.lens = lens.told.lens;
+  if (c.lens == LensKind::equirectangular) {
+    // Focal lengths of nerfstudio's panoramas are half the width and the height; ours are pixels per radian.
+    c.fx = (lens.told.fx != 0 ? lens.told.fx : 0.5 * width) / M_PI;
+    c.fy = (lens.told.fy != 0 ? lens.told.fy : height) / M_PI;
+  } else {
+    c = lens.told;
+    if (c.fx == 0) c.fx = from_angle(width, lens.camera_angle_x);
+    if (c.fy == 0)
+      c.fy = lens.camera_angle_y != 0 && lens.told.fx == 0 ? from_angle(height, lens.camera_angle_y) : c.fx;
+  }
   c.width_px = width;
   c.height_px = height;
-  c.lens = lens.kind;
-  if (lens.kind == LensKind::equirectangular) {
-    // Focal lengths of nerfstudio's panoramas are half the width and the height; ours are pixels per radian.
-    c.fx = (lens.fl_x != 0 ? lens.fl_x : 0.5 * width) / M_PI;
-    c.fy = (lens.fl_y != 0 ? lens.fl_y : height) / M_PI;
-    c.cx = lens.cx.value_or(0.5 * width);
-    c.cy = lens.cy.value_or(0.5 * height);
-    return c;
-  }
-  c.fx = lens.fl_x != 0 ? lens.fl_x : from_angle(width, lens.camera_angle_x);
-  c.fy = lens.fl_y != 0                               ? lens.fl_y
-         : lens.camera_angle_y != 0 && lens.fl_x == 0 ? from_angle(height, lens.camera_angle_y)
-                                                      : c.fx;
   c.cx = lens.cx.value_or(0.5 * width);
   c.cy = lens.cy.value_or(0.5 * height);
-  c.k1 = lens.k1;
-  c.k2 = lens.k2;
-  c.k3 = lens.k3;
-  c.k4 = lens.k4;
-  c.p1 = lens.p1;
-  c.p2 = lens.p2;
   return c;
 }
 
@@ -791,8 +817,8 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
     }
   }
   const TransformsLens& l = in.lens;
-  if (l.fl_x == 0 && l.fl_y == 0 && l.camera_angle_x == 0 && l.camera_angle_y == 0 &&
-      l.kind != LensKind::equirectangular) {
+  if (l.told.fx == 0 && l.told.fy == 0 && l.camera_angle_x == 0 && l.camera_angle_y == 0 &&
+      l.told.lens != LensKind::equirectangular) {
     diagnostics.error("scene.camera.missing", place,
                       "no focal length: neither the file nor the frame has 'fl_x', 'camera_angle_x' or a matrix 'K'",
                       "write 'fl_x', 'fl_y', 'cx' and 'cy' in pixels");
@@ -805,206 +831,221 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
 
 }  // namespace
 
-std::string TransformsJson::folder() const {
-  return fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_;
-}
+class TransformsJson final : public Dataset {
+ public:
+  TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
+      : params_(params),
+        root_((fs::path(build.config_dir) / params.root).string()),
+        class_file_(build.path_of(params.classes)) {}
 
-// Frames that are in a split and have a pose, each image once.
-std::vector<const TransformsFrame*> TransformsJson::used_frames(const TransformsIndex& index,
-                                                                Diagnostics& diagnostics) const {
-  std::vector<const TransformsFrame*> used;
-  std::map<std::string, const TransformsFrame*> seen;
-  std::size_t unused = 0;
-  for (const TransformsFrame& in : index.frames) {
-    unused += in.split == Split::unused ? 1 : 0;
-    if (in.matrix.empty() || in.split == Split::unused) continue;
-    const auto [other, fresh] = seen.emplace(fs::path(in.files.color).lexically_normal().string(), &in);
-    if (!fresh) {
-      const bool both = other->second->split != in.split;
-      diagnostics.error("scene.frame.twice", in.place,
-                        both ? "image is listed for training and for tests" : "image is listed twice",
-                        "keep one of the two frames");
-      continue;
+  SceneInfo open(Diagnostics& diagnostics) override {
+    info_ = {};
+    info_.opengl_files = true;
+    sources_.clear();
+    const TransformsIndex index = read_transforms(root_, params_, diagnostics);
+    const fs::path canonical = fs::weakly_canonical(root_);
+    info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
+    std::vector<std::string> skipped;
+    FrameNames names;
+    bool has_labels = false, has_depth = false, unit_told = true;
+    int real_depth = 0;
+    FrameFileCheck check(params_.missing, "label_key");
+    CameraFit sizes;
+    FrameMasks masks(folder(), params_.masks);
+    const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
+    const std::vector<Split> splits = splits_of(used, diagnostics);
+    check.expect(used.size());
+    read_depth_camera(index, diagnostics);
+    for (std::size_t i = 0; i < used.size(); ++i) {
+      const TransformsFrame& in = *used[i];
+      FrameInfo frame;
+      frame.name = names.of(in.file_path);
+      frame.source = in.files.color;
+      frame.split = splits[i];
+      const std::string place = frame_place(frame);
+      if (!check_last_row(in.matrix, place, diagnostics)) continue;
+      frame.world_from_camera = opencv_from_opengl(pose_from_rows(in.matrix));
+      const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
+      if (state == PoseState::not_finite) skipped.push_back(frame.name);
+      FrameFiles files = in.files;
+      masks.add_to(files);
+      if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
+          !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
+        continue;
+      }
+      files.tell_channels(frame);
+      has_labels = has_labels || frame.has_labels;
+      has_depth = has_depth || frame.has_depth;
+      const std::int32_t colors = check.check_headers(frame, files, diagnostics, depth_camera()).channels;
+      if ((colors == 2 || colors == 4) && params_.alpha_background >= 0 &&
+          !in.channels.contains(std::string(kAlphaChannel)))
+        frame.channels.push_back(alpha_info(frame.camera));
+      for (const auto& [name, file] : in.channels) {
+        try {
+          frame.channels.push_back(channel_info(name, file));
+        } catch (const Error& error) {
+          diagnostics.error(error.code(), place, error.message(), error.remedy());
+        }
+      }
+      info_.frames.push_back(frame);
+      unit_told = unit_told && (!frame.has_depth || in.depth_unit_m > 0);
+      real_depth += frame.has_depth && in.depth_unit_m > 0 && in.depth_unit_m != 1 && is_real(files.depth) ? 1 : 0;
+      sources_.push_back({files, in.channels,
+                          params_.depth_unit_m > 0 ? params_.depth_unit_m
+                          : in.depth_unit_m > 0    ? in.depth_unit_m
+                                                   : 0.001});
     }
-    used.push_back(&in);
+    check.report(root_, info_.frames.size(), diagnostics);
+    sizes.report(root_, diagnostics);
+    masks.report(diagnostics);
+    report_skipped(skipped, info_.frames.size(), root_, diagnostics);
+    if (params_.depth_unit_m == 0 && !unit_told && !index.unclear_depth_key.empty())
+      diagnostics.error("scene.depth.unit", root_,
+                        "'" + index.unclear_depth_key +
+                            "' may be the steps of a depth image per metre or the metres of a step, and is not read",
+                        "write \"depth_unit_m\" with the metres of a step, or set scene.depth_unit_m");
+    if (real_depth > 0)
+      diagnostics.note(
+          "scene.depth.real", root_,
+          std::to_string(real_depth) +
+              " depth files hold real numbers, which are taken as they are: the unit that the index states "
+              "is of integers");
+    info_.metric = params_.metric || index.metric || has_depth;
+    info_.limit = index.limit;
+    load_classes(index, has_labels, diagnostics);
+    return info_;
   }
-  if (unused > 0) {
-    diagnostics.note("scene.frames.unused", root_,
-                     std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
-                         " frames are in neither split, as the index says");
-  }
-  return used;
-}
 
-// As the index tells; where it names no test frame, every n-th of the sorted names is held out, so that the order of
-// the export does not matter.
-std::vector<Split> TransformsJson::splits_of(const std::vector<const TransformsFrame*>& frames,
-                                             Diagnostics& diagnostics) const {
-  const auto is_test = [](const TransformsFrame* in) { return in->split == Split::test; };
-  std::vector<Split> splits;
-  if (std::any_of(frames.begin(), frames.end(), is_test)) {
-    for (const TransformsFrame* in : frames) splits.push_back(*in->split);
-    if (params_.test_every != TransformsJsonParams{}.test_every)
-      diagnostics.note("scene.split.given", root_, "the index names the test frames; scene.test_every is not used");
+  void read(int frame, FrameBuffer& out) const override {
+    const auto i = static_cast<std::size_t>(frame);
+    const std::vector<std::string> wanted = out.wanted;
+    const Source& source = sources_.at(i);
+    const auto wants = [&](std::string_view name) {
+      return std::find(wanted.begin(), wanted.end(), name) != wanted.end();
+    };
+    const FrameReadRules rules{.depth_unit_m = source.depth_unit_m,
+                               .alpha_background = params_.alpha_background,
+                               .alpha = wants(kAlphaChannel) && !source.channels.contains(std::string(kAlphaChannel)),
+                               .unknown_labels = params_.unknown_labels,
+                               .depth_camera = depth_camera(),
+                               .alpha_masks = params_.alpha_masks};
+    read_frame_files(info_.frames[i], source.files, rules, info_.classes, out);
+    for (const FrameChannelInfo& told : info_.frames[i].channels) {
+      if (!wants(told.name) || (told.name == kAlphaChannel && rules.alpha)) continue;
+      NumpyArray array = read_npy(source.channels.at(told.name), [](std::span<const std::int64_t>) {});
+      out.channels.push_back({told.name, told.height, told.width, told.cols, std::move(array.values)});
+    }
+  }
+
+ private:
+  // Frames that are in a split and have a pose, each image once.
+  std::vector<const TransformsFrame*> used_frames(const TransformsIndex& index, Diagnostics& diagnostics) const {
+    std::vector<const TransformsFrame*> used;
+    std::map<std::string, const TransformsFrame*> seen;
+    std::size_t unused = 0;
+    for (const TransformsFrame& in : index.frames) {
+      unused += in.split == Split::unused ? 1 : 0;
+      if (in.matrix.empty() || in.split == Split::unused) continue;
+      const auto [other, fresh] = seen.emplace(fs::path(in.files.color).lexically_normal().string(), &in);
+      if (!fresh) {
+        const bool both = other->second->split != in.split;
+        diagnostics.error("scene.frame.twice", in.place,
+                          both ? "image is listed for training and for tests" : "image is listed twice",
+                          "keep one of the two frames");
+        continue;
+      }
+      used.push_back(&in);
+    }
+    if (unused > 0) {
+      diagnostics.note("scene.frames.unused", root_,
+                       std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
+                           " frames are in neither split, as the index says");
+    }
+    return used;
+  }
+
+  // As the index tells; where it names no test frame, every n-th of the sorted names is held out, so that the order of
+  // the export does not matter.
+  std::vector<Split> splits_of(const std::vector<const TransformsFrame*>& frames, Diagnostics& diagnostics) const {
+    const auto is_test = [](const TransformsFrame* in) { return in->split == Split::test; };
+    std::vector<Split> splits;
+    if (std::any_of(frames.begin(), frames.end(), is_test)) {
+      for (const TransformsFrame* in : frames) splits.push_back(*in->split);
+      if (params_.test_every != TransformsJsonParams{}.test_every)
+        diagnostics.note("scene.split.given", root_, "the index names the test frames; scene.test_every is not used");
+      return splits;
+    }
+    std::vector<std::string> order;
+    for (const TransformsFrame* in : frames) order.push_back(in->file_path);
+    std::sort(order.begin(), order.end());
+    std::size_t held_out = 0;
+    for (const TransformsFrame* in : frames) {
+      const auto rank = std::lower_bound(order.begin(), order.end(), in->file_path) - order.begin();
+      splits.push_back(HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(rank), order.size()));
+      held_out += splits.back() == Split::test ? 1 : 0;
+    }
+    const bool told = std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split; });
+    if (told && held_out > 0) {
+      diagnostics.note("scene.split.made", root_,
+                       "the index names no test frame: " + std::to_string(held_out) + " of " +
+                           std::to_string(frames.size()) + " are held out, one in " +
+                           std::to_string(params_.test_every) + " (scene.test_every; 0 = none)");
+    }
     return splits;
   }
-  std::vector<std::string> order;
-  for (const TransformsFrame* in : frames) order.push_back(in->file_path);
-  std::sort(order.begin(), order.end());
-  std::size_t held_out = 0;
-  for (const TransformsFrame* in : frames) {
-    const auto rank = std::lower_bound(order.begin(), order.end(), in->file_path) - order.begin();
-    splits.push_back(HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(rank), order.size()));
-    held_out += splits.back() == Split::test ? 1 : 0;
-  }
-  const bool told = std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split; });
-  if (told && held_out > 0) {
-    diagnostics.note("scene.split.made", root_,
-                     "the index names no test frame: " + std::to_string(held_out) + " of " +
-                         std::to_string(frames.size()) + " are held out, one in " + std::to_string(params_.test_every) +
-                         " (scene.test_every; 0 = none)");
-  }
-  return splits;
-}
 
-SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
-  info_ = {};
-  info_.opengl_files = true;
-  files_.clear();
-  channels_.clear();
-  const TransformsIndex index = read_transforms(root_, params_.label_key, params_.channels, diagnostics);
-  const fs::path canonical = fs::weakly_canonical(root_);
-  info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
-  depth_units_m_.clear();
-
-  std::vector<std::string> skipped;
-  FrameNames names;
-  bool has_labels = false, has_depth = false, unit_told = true;
-  int real_depth = 0;
-  FrameFileCheck check(params_.missing, "label_key");
-  CameraFit sizes;
-  FrameMasks masks(folder(), params_.masks);
-  const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
-  const std::vector<Split> splits = splits_of(used, diagnostics);
-  check.expect(used.size());
-  read_depth_camera(index, diagnostics);
-  for (std::size_t i = 0; i < used.size(); ++i) {
-    const TransformsFrame& in = *used[i];
-    FrameInfo frame;
-    frame.name = names.of(in.file_path);
-    frame.source = in.files.color;
-    frame.split = splits[i];
-    const std::string place = frame_place(frame);
-    if (!check_last_row(in.matrix, place, diagnostics)) continue;
-    frame.world_from_camera = opencv_from_opengl(pose_from_rows(in.matrix));
-    const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
-    if (state == PoseState::not_finite) skipped.push_back(frame.name);
-    FrameFiles files = in.files;
-    masks.add_to(files);
-    if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
-        !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
-      continue;
-    }
-    files.tell_channels(frame);
-    has_labels = has_labels || frame.has_labels;
-    has_depth = has_depth || frame.has_depth;
-    const std::int32_t colors = check.check_headers(frame, files, diagnostics, depth_camera()).channels;
-    if ((colors == 2 || colors == 4) && params_.alpha_background >= 0 &&
-        !in.channels.contains(std::string(kAlphaChannel)))
-      frame.channels.push_back(alpha_info(frame.camera));
-    for (const auto& [name, file] : in.channels) {
-      try {
-        frame.channels.push_back(channel_info(name, file));
-      } catch (const Error& error) {
-        diagnostics.error(error.code(), place, error.message(), error.remedy());
-      }
-    }
-    info_.frames.push_back(frame);
-    files_.push_back(files);
-    channels_.push_back(in.channels);
-    unit_told = unit_told && (!frame.has_depth || in.depth_unit_m > 0);
-    real_depth += frame.has_depth && in.depth_unit_m > 0 && in.depth_unit_m != 1 && is_real(files.depth) ? 1 : 0;
-    depth_units_m_.push_back(params_.depth_unit_m > 0 ? params_.depth_unit_m
-                             : in.depth_unit_m > 0    ? in.depth_unit_m
-                                                      : 0.001);
-  }
-  check.report(root_, info_.frames.size(), diagnostics);
-  sizes.report(root_, diagnostics);
-  masks.report(diagnostics);
-  report_skipped(skipped, info_.frames.size(), root_, diagnostics);
-  if (params_.depth_unit_m == 0 && !unit_told && !index.unclear_depth_key.empty())
-    diagnostics.error("scene.depth.unit", root_,
-                      "'" + index.unclear_depth_key +
-                          "' may be the steps of a depth image per metre or the metres of a step, and is not read",
-                      "write \"depth_unit_m\" with the metres of a step, or set scene.depth_unit_m");
-  if (real_depth > 0)
-    diagnostics.note("scene.depth.real", root_,
-                     std::to_string(real_depth) +
-                         " depth files hold real numbers, which are taken as they are: the unit that the index states "
-                         "is of integers");
-  info_.metric = params_.metric || index.metric || has_depth;
-  info_.limit = index.limit;
-  load_classes(index, has_labels, diagnostics);
-  return info_;
-}
-
-void TransformsJson::read_depth_camera(const TransformsIndex& index, Diagnostics& diagnostics) {
-  depth_camera_.reset();
-  if (!index.depth_lens) return;
-  const std::string place = root_ + ": 'depth_camera'";
-  const TransformsLens& lens = *index.depth_lens;
-  if (!whole_size(lens.w) || !whole_size(lens.h) || lens.fl_x == 0) {
-    diagnostics.error("scene.camera.missing", place, "has no size or no focal length",
-                      "write 'w', 'h', 'fl_x', 'fl_y', 'cx' and 'cy' of the depth images, in pixels");
-    return;
-  }
-  DepthCamera out{camera_of(lens, static_cast<std::int32_t>(lens.w), static_cast<std::int32_t>(lens.h)),
-                  pose_from_rows(index.depth_from_color)};
-  if (!check_camera(out.camera, place, diagnostics)) return;
-  const PoseState state = check_pose(out.depth_from_color, place, diagnostics);
-  if (state == PoseState::not_finite)
-    diagnostics.error("scene.pose.format", place, "'depth_from_color' holds a value that is not finite",
-                      "write 4 rows of 4 numbers");
-  if (state == PoseState::good) depth_camera_ = out;
-}
-
-void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
-  const std::string folder = this->folder();
-  const std::string path = !class_file_.empty()       ? class_file_
-                           : !index.classes.empty()   ? index.classes
-                           : index.class_list.empty() ? find_class_file({folder})
-                                                      : "";
-  if (!path.empty() || index.class_list.empty()) {
-    info_.classes = load_class_file(path, {folder}, has_labels, diagnostics);
-    return;
-  }
-  try {
-    info_.classes = ClassTable(index.class_list);
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), root_ + ": 'classes'", e.message(), e.remedy());
-  }
-}
-
-void TransformsJson::read(int frame, FrameBuffer& out) const {
-  const auto i = static_cast<std::size_t>(frame);
-  const std::vector<std::string> wanted = out.wanted;
-  FrameReadRules rules;
-  rules.depth_unit_m = depth_units_m_.at(i);
-  rules.depth_camera = depth_camera();
-  rules.alpha_background = params_.alpha_background;
-  rules.alpha_masks = params_.alpha_masks;
-  rules.unknown_labels = params_.unknown_labels;
-  const auto wants = [&](std::string_view name) {
-    return std::find(wanted.begin(), wanted.end(), name) != wanted.end();
+  struct Source {
+    FrameFiles files;
+    std::map<std::string, std::string> channels;  // name to file
+    double depth_unit_m;
   };
-  rules.alpha = wants(kAlphaChannel) && !channels_[i].contains(std::string(kAlphaChannel));
-  read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
-  for (const FrameChannelInfo& told : info_.frames[i].channels) {
-    if (!wants(told.name) || (told.name == kAlphaChannel && rules.alpha)) continue;
-    NumpyArray array = read_npy(channels_[i].at(told.name), [](std::span<const std::int64_t>) {});
-    out.channels.push_back({told.name, told.height, told.width, told.cols, std::move(array.values)});
+
+  std::string folder() const { return fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_; }
+
+  void read_depth_camera(const TransformsIndex& index, Diagnostics& diagnostics) {
+    depth_camera_.reset();
+    if (!index.depth_lens) return;
+    const std::string place = root_ + ": 'depth_camera'";
+    const TransformsLens& lens = *index.depth_lens;
+    if (!whole_size(lens.w) || !whole_size(lens.h) || lens.told.fx == 0) {
+      diagnostics.error("scene.camera.missing", place, "has no size or no focal length",
+                        "write 'w', 'h', 'fl_x', 'fl_y', 'cx' and 'cy' of the depth images, in pixels");
+      return;
+    }
+    DepthCamera out{camera_of(lens, static_cast<std::int32_t>(lens.w), static_cast<std::int32_t>(lens.h)),
+                    pose_from_rows(index.depth_from_color)};
+    if (!check_camera(out.camera, place, diagnostics)) return;
+    const PoseState state = check_pose(out.depth_from_color, place, diagnostics);
+    if (state == PoseState::not_finite)
+      diagnostics.error("scene.pose.format", place, "'depth_from_color' holds a value that is not finite",
+                        "write 4 rows of 4 numbers");
+    if (state == PoseState::good) depth_camera_ = out;
   }
-}
+
+  const DepthCamera* depth_camera() const { return depth_camera_ ? &*depth_camera_ : nullptr; }
+  void load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
+    const std::string folder = this->folder();
+    const std::string path = !class_file_.empty()       ? class_file_
+                             : !index.classes.empty()   ? index.classes
+                             : index.class_list.empty() ? find_class_file({folder})
+                                                        : "";
+    if (!path.empty() || index.class_list.empty()) {
+      info_.classes = load_class_file(path, {folder}, has_labels, diagnostics);
+      return;
+    }
+    try {
+      info_.classes = ClassTable(index.class_list);
+    } catch (const Error& e) {
+      diagnostics.error(e.code(), root_ + ": 'classes'", e.message(), e.remedy());
+    }
+  }
+
+  TransformsJsonParams params_;
+  std::string root_, class_file_;
+  SceneInfo info_;
+  std::vector<Source> sources_;              // of each frame
+  std::optional<DepthCamera> depth_camera_;  // where depth is of another camera
+};
 
 SEMFIELD_PLUGIN_MODULE(transforms_json, "1.0", [](Registry& registry) {
   registry.add_dataset<TransformsJson, TransformsJsonParams>(

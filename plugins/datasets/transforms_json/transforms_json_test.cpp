@@ -1,13 +1,11 @@
 // transforms.json in every dialect: nerfstudio with a lens of its own a frame, Blender's splits, units and arrays of
 // depth, lists of splits, masks, a lens as a matrix, and names as other systems spell them.
 
-#include "datasets/transforms_json/transforms_json.h"
-
-#include <bit>
-
 #include "formats/image_io.h"
 #include "formats/npz.h"
+#include "loading/frame_files.h"
 #include "scene/scene.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -29,7 +27,7 @@ std::string index_of(const std::string& head, const std::vector<std::string>& fr
 // A folder with the images a.png and b.png of 4 x 2 pixels, and an index of them.
 struct Scene {
   std::string folder = fresh_folder("s");
-  TransformsJsonParams params{.root = folder, .test_every = 0};
+  testkit::Settings params{{"root", folder}, {"test_every", "0"}};
 
   Scene() {
     for (const char* name : {"a.png", "b.png"}) image(name);
@@ -48,7 +46,7 @@ struct Scene {
   void index(const std::string& head, const std::vector<std::string>& frames) const {
     plain_write(folder + "/transforms.json", index_of(head, frames));
   }
-  SceneInfo open(Diagnostics& d) const { return TransformsJson(params, {}).open(d); }
+  SceneInfo open(Diagnostics& d) const { return NamedDataset("transforms_json", params).open(d); }
   // Without an error.
   SceneInfo open() const {
     Diagnostics d;
@@ -62,7 +60,7 @@ struct Scene {
     return d;
   }
   FrameBuffer read(int frame = 0, const std::vector<std::string>& wanted = {}) const {
-    TransformsJson scene(params, {});
+    NamedDataset scene("transforms_json", params);
     Diagnostics d;
     const SceneInfo info = scene.open(d);
     EXPECT_FALSE(d.has_errors()) << all_said(d);
@@ -125,10 +123,10 @@ TEST(TransformsJson, MasksComeFromTheIndexAFolderOrAlpha) {
   s.index(kLens, {"\"file_path\": \"a.png\", \"mask_path\": \"m.png\"", "\"file_path\": \"b.png\""});
   EXPECT_EQ(s.read(0).used, (Used{0, 1, 1, 1, 0, 0, 0, 1}));
   EXPECT_TRUE(s.read(1).used.empty());
-  s.params.masks = "masks";
+  s.params["masks"] = "masks";
   EXPECT_EQ(s.read(1).used, Used(8, 0));
-  s.params.masks = "";
-  s.params.alpha_masks = true;
+  s.params["masks"] = "";
+  s.params["alpha_masks"] = "true";
   EXPECT_EQ(s.read(0).used, (Used{0, 0, 0, 1, 0, 0, 0, 1}));
 }
 
@@ -144,7 +142,7 @@ TEST(TransformsJson, ACaptureOfNeRFCaptureIsReadAsItIs) {
   }
   s.index("\"w\":4,\"h\":2,\"fl_x\":1,\"fl_y\":1,\"cx\":320,\"cy\":240,\"depth_integer_scale\":1,", frames);
   EXPECT_FINDING(s.findings(), "scene.file.missing", "0.depth.png", "scene.missing=skip");
-  s.params.missing = MissingFiles::skip;
+  s.params["missing"] = "skip";
   const SceneInfo info = s.open();
   ASSERT_EQ(info.frames.size(), 2u);
   EXPECT_EQ(info.frames[1].source, s.folder + "/images/1.png");
@@ -174,7 +172,7 @@ TEST(TransformsJson, WideLensesAreThoseOfNerfstudio) {
 
 TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {
   Scene s;
-  s.params.channels = {"normal"};
+  s.params["channels"] = "normal";
   const std::vector<float> values{1, 2, 3, 4, 5, 6};
   write_npy(s.folder + "/n.npy", std::vector<std::int64_t>{1, 2, 3}, values);
   write_npy(s.folder + "/flat.npy", std::vector<std::int64_t>{2, 3}, values);
@@ -199,7 +197,7 @@ TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {
     index(file);
     EXPECT_HAS(all_said(s.findings()), says);
   }
-  s.params.channels.clear();
+  s.params.erase("channels");
   EXPECT_HAS(all_said(s.findings()), "scene.channels: [normal]");
 }
 
@@ -208,14 +206,12 @@ TEST(TransformsJson, DistortionParamsAreTheLens) {
   const Scene s;
   s.index(kLens + "\"distortion_params\": [0.01, 0.02, 0.03, 0.04, 0.05, 0.06], ",
           {"\"file_path\": \"a.png\"", "\"file_path\": \"b.png\", \"distortion_params\": [0.1, 0, 0, 0, 0, 0]"});
-  Diagnostics d;
-  const TransformsIndex index = read_transforms(s.folder, "", {}, d);
-  EXPECT_FALSE(d.has_errors());
-  const TransformsLens& a = index.frames.at(0).lens;
+  const SceneInfo info = s.open();
+  const Camera &a = info.frames.at(0).camera, &b = info.frames.at(1).camera;
   EXPECT_EQ((std::vector<double>{a.k1, a.k2, a.k3, a.k4, a.p1, a.p2}),
             (std::vector<double>{0.01, 0.02, 0.03, 0.04, 0.05, 0.06}));
-  EXPECT_EQ(index.frames.at(1).lens.k1, 0.1);
-  EXPECT_EQ(index.frames.at(1).lens.p2, 0.0);
+  EXPECT_EQ(b.k1, 0.1);
+  EXPECT_EQ(b.p2, 0.0);
 }
 
 // An uncompressed TIFF of one strip, 4 x 2 pixels of 1 or 3 samples, with an orientation as EXIF has it.
@@ -266,7 +262,9 @@ TEST(TransformsJson, ExifOrientationIsNamed) {
 
 // Comparisons, not seconds: a list of names is looked up, not walked, and equal stems get numbers without new tries.
 TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
-  const Scene s;
+  Scene s;
+  s.params["missing"] = "skip";
+  s.image("99999/rgb/image.png");
   std::string names;
   std::vector<std::string> frames;
   for (int i = 0; i < 100'000; ++i) {
@@ -275,14 +273,10 @@ TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
     names += (i > 0 ? "," : "") + path;
   }
   s.index("\"fl_x\":4,\"w\":4,\"h\":2,\"train_filenames\":[" + names + "],", frames);
-  Diagnostics d;
-  const TransformsIndex index = read_transforms(s.folder, "label_path", {}, d);
-  ASSERT_EQ(index.frames.size(), 100'000u);
-  EXPECT_EQ(index.frames.back().split, Split::train);
-  FrameNames given;
-  std::string last;
-  for (const TransformsFrame& frame : index.frames) last = given.of(frame.file_path);
-  EXPECT_EQ(last, "rgb_image_99999");
+  const SceneInfo info = s.open();
+  ASSERT_EQ(info.frames.size(), 1u) << "the only image that is there";
+  EXPECT_EQ(info.frames[0].split, Split::train);
+  EXPECT_EQ(info.frames[0].name, "rgb_image_99999");
 }
 
 // instant-ngp's box in the axes of the poses: (0.5 -+ aabb_scale / 2 - offset) / scale.
@@ -336,9 +330,9 @@ TEST(TransformsDialects, UnitsOfDepth) {
           {kDepthFrame, "\"file_path\": \"b.png\", \"depth_path\": \"d.png\", \"integer_depth_scale\": 0.004"});
   EXPECT_NEAR(s.read(0).depth_m.at(0), 1, 1e-6);
   EXPECT_NEAR(s.read(1).depth_m.at(0), 8, 1e-6);
-  s.params.depth_unit_m = 0.01;
+  s.params["depth_unit_m"] = "0.01";
   EXPECT_NEAR(s.read(0).depth_m.at(0), 20, 1e-5);
-  s.params.depth_unit_m = 0;
+  s.params["depth_unit_m"] = "0";
   for (const char* keys : {"\"integer_depth_scale\": -1, ", "\"depth_unit_scale_factor\": 1e300, ",
                            "\"integer_depth_scale\": 0.001, \"depth_unit_m\": 0.002, "}) {
     s.index(kLens + keys, {kDepthFrame});
@@ -347,9 +341,9 @@ TEST(TransformsDialects, UnitsOfDepth) {
   // Steps per metre, or metres per step? Only where there is depth, and nothing says.
   s.index(kLens + "\"depth_scale\": 1000, ", {kDepthFrame});
   EXPECT_FINDING(s.findings(), "scene.depth.unit", "depth_scale", "scene.depth_unit_m");
-  s.params.depth_unit_m = 0.001;
+  s.params["depth_unit_m"] = "0.001";
   EXPECT_NEAR(s.read().depth_m.at(0), 2, 1e-6);
-  s.params.depth_unit_m = 0;
+  s.params["depth_unit_m"] = "0";
   s.index(kLens + "\"depth_scale\": 1000, ", {"\"file_path\": \"a.png\""});
   EXPECT_EQ(all_said(s.findings()), "");
 }
@@ -457,7 +451,7 @@ TEST(TransformsDialects, MasksOfMovingThings) {
   EXPECT_FINDING(s.findings(), "scene.mask.moving", "1 of 2 images", "dynamic_mask_NAME.png");
   // Both masks leave out.
   for (const char* name : {"masks/a.png", "masks/b.png"}) s.gray(name, {0, 9, 9, 9, 9, 9, 9, 9});
-  s.params.masks = "masks";
+  s.params["masks"] = "masks";
   EXPECT_EQ(s.read(0).used, (Used{0, 0, 1, 1, 1, 0, 1, 1}));
   EXPECT_EQ(s.read(1).used, (Used{0, 1, 1, 1, 1, 1, 1, 1}));
   write_png_gray8(s.folder + "/images/dynamic_mask_a.png", 2, 2, std::vector<std::uint8_t>(4, 0));

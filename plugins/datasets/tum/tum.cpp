@@ -1,6 +1,5 @@
-// Recordings in the layout of the TUM RGB-D benchmark [Sturm12].
-#include "datasets/tum/tum.h"
-
+// Recordings in the layout of the TUM RGB-D benchmark [Sturm12]: rgb.txt, depth.txt and groundtruth.txt with times, and
+// the images that they name.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -12,6 +11,7 @@
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "system/files.h"
@@ -19,6 +19,12 @@
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+struct TumParams : PhotographParams {
+  std::vector<double> lens;  ///< fx fy cx cy, or these and k1 k2 p1 p2 k3; empty: by the name of the folder
+  double within_s = 0.02;
+  double depth_steps = 5000;  ///< of a depth image, per metre
+};
 
 namespace {
 
@@ -137,21 +143,21 @@ std::string recognise(const std::string& path, TumParams& p) {
   return "a recording in the layout of the TUM RGB-D benchmark";
 }
 
-SceneInfo Tum::open(Diagnostics& diagnostics) {
-  files_.require({"", "rgb.txt", "groundtruth.txt"}, "a recording of the TUM RGB-D benchmark");
-  const fs::path root(files_.root());
+SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Diagnostics& diagnostics) {
+  files.require({"", "rgb.txt", "groundtruth.txt"}, "a recording of the TUM RGB-D benchmark");
+  const fs::path root(files.root());
   const std::vector<TimedRow> images = read_list((root / "rgb.txt").string(), 1);
   const std::vector<TimedRow> poses = read_list((root / "groundtruth.txt").string(), 7);
   std::vector<TimedRow> depths;
   if (fs::exists(root / "depth.txt")) depths = read_list((root / "depth.txt").string(), 1);
   const std::vector<double> lens =
-      params_.lens.empty() ? lens_of_folder(fs::weakly_canonical(root).filename().string()) : params_.lens;
+      params.lens.empty() ? lens_of_folder(fs::weakly_canonical(root).filename().string()) : params.lens;
   std::vector<PosedPhotograph> photos;
   std::size_t without_pose = 0;
   FileNames names;
   std::map<std::string, const TimedRow*> lines;  // by image
   for (const TimedRow& image : images) {
-    const std::optional<Pose> pose = pose_at(poses, image.time_s, params_.within_s);
+    const std::optional<Pose> pose = pose_at(poses, image.time_s, params.within_s);
     if (!pose) {
       ++without_pose;
       continue;
@@ -165,11 +171,11 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
       continue;
     }
     photo.world_from_camera = *pose;
-    photo.depth_unit_m = 1 / params_.depth_steps;
+    photo.depth_unit_m = 1 / params.depth_steps;
     Camera& c = photo.camera;
     c.width_px = 640;  // what the benchmark's lenses are of
     c.height_px = 480;
-    if (!params_.lens.empty() && is_there(photo.image)) {
+    if (!params.lens.empty() && is_there(photo.image)) {
       const ImageSize size = image_size(photo.image);
       c.width_px = size.width_px;
       c.height_px = size.height_px;
@@ -190,12 +196,12 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
     const auto gap = [&](std::size_t i) { return std::abs(depths[i].time_s - image.time_s); };
     std::size_t nearest = depths.size();
     for (const std::size_t i : {after - 1, after})
-      if (i < depths.size() && gap(i) <= params_.within_s && (nearest == depths.size() || gap(i) < gap(nearest)))
+      if (i < depths.size() && gap(i) <= params.within_s && (nearest == depths.size() || gap(i) < gap(nearest)))
         nearest = i;
     if (nearest < depths.size()) photo.depth = names.of((root / depths[nearest].words[0]).string());
     photos.push_back(std::move(photo));
   }
-  const std::string within_text = std::to_string(std::lround(1000 * params_.within_s));
+  const std::string within_text = std::to_string(std::lround(1000 * params.within_s));
   if (photos.empty())
     throw Error(ErrorKind::data, "scene.pose.count",
                 "'" + root.string() + "': no image has a pose within " + within_text + " ms",
@@ -204,11 +210,11 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
     diagnostics.note("scene.pose.count", "'" + (root / "groundtruth.txt").string() + "'",
                      std::to_string(without_pose) + " of " + std::to_string(images.size()) +
                          " images have no pose within " + within_text + " ms and are left out");
-  return files_.open(photos, false, diagnostics);
+  return files.open(photos, false, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(tum, "1.0", [](Registry& registry) {
-  registry.add_dataset<Tum, TumParams>(
+  registry.add_dataset<PhotographDataset<TumParams>, TumParams>(
       "tum", "Recordings in the layout of the TUM RGB-D benchmark, as exporters of ROS bags write them.");
 })
 

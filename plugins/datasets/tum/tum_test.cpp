@@ -1,8 +1,7 @@
 // Recordings in the layout of the TUM RGB-D benchmark: times that differ, poses between others, and lines that do not
 // fit.
-#include "datasets/tum/tum.h"
-
 #include "scene/camera.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -41,18 +40,15 @@ std::string recording_of(const std::string& poses, const std::string& images = k
   return folder;
 }
 
-TumParams params_of(const std::string& folder) {
-  TumParams p;
-  p.root = folder;
-  p.lens = {20, 20, 19.5, 14.5};
-  return p;
+NamedDataset scene_of(const std::string& folder, const std::string& lens = "20,20,19.5,14.5") {
+  return NamedDataset("tum", {{"root", folder}, {"lens", lens}});
 }
 
-SceneInfo open(const TumParams& p, Diagnostics& d) { return Tum(p, {}).open(d); }
+SceneInfo open(const std::string& folder, Diagnostics& d) { return scene_of(folder).open(d); }
 
 TEST(Tum, ReadsWhatTheListsName) {
   Diagnostics d;
-  Tum scene(params_of(recording_of(usual_poses())), {});
+  NamedDataset scene = scene_of(recording_of(usual_poses()));
   const SceneInfo info = scene.open(d);
   EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
   ASSERT_EQ(info.frames.size(), 2u);
@@ -73,7 +69,7 @@ TEST(Tum, APoseBetweenTwoOthersIsTheirMean) {
   ahead.t = ahead.t + Vec3d{0.1, 0, 0};
   const std::string poses = row_at("9.99", room_pose(0)) + row_at("10.01", ahead, -1) + row_at("10.10", room_pose(3));
   Diagnostics d;
-  const SceneInfo info = open(params_of(recording_of(poses)), d);
+  const SceneInfo info = open(recording_of(poses), d);
   ASSERT_EQ(info.frames.size(), 2u);
   const Pose& found = info.frames[0].world_from_camera;
   EXPECT_LT(length(found.t - (room_pose(0).t + Vec3d{0.05, 0, 0})), 1e-9);
@@ -84,27 +80,26 @@ TEST(Tum, TheFolderNamesTheCamera) {
   Diagnostics d;
   for (const auto& [name, fx] :
        {std::pair{"rgbd_dataset_freiburg1_xyz", 517.3}, {"rgbd_dataset_freiburg3_office", 535.4}, {"mine", 525.0}}) {
-    TumParams p = params_of(recording_of(usual_poses(), kImages, name));
-    p.lens.clear();
-    EXPECT_NEAR(open(p, d).frames.at(0).camera.fx, fx / 16, 1e-9) << name << ": of 640 pixels, and these are 40";
+    NamedDataset scene = scene_of(recording_of(usual_poses(), kImages, name), "");
+    EXPECT_NEAR(scene.open(d).frames.at(0).camera.fx, fx / 16, 1e-9) << name << ": of 640 pixels, and these are 40";
   }
 }
 
 // One image would train and be held out, and of two poses one would win.
 TEST(Tum, OneThingTwiceIsRefused) {
   Diagnostics d;
-  open(params_of(recording_of(usual_poses(), "10.00 rgb/a.png\n10.05 rgb/b.png\n10.10 ./rgb/a.png\n")), d);
+  open(recording_of(usual_poses(), "10.00 rgb/a.png\n10.05 rgb/b.png\n10.10 ./rgb/a.png\n"), d);
   EXPECT_FINDING(d, "scene.frame.twice", "rgb.txt:3", "rgb.txt:1");
   const std::string depths = recording_of(usual_poses());
   plain_write(depths + "/depth.txt", "10.0 depth/a.png\n10.0 depth/b.png\n");
-  EXPECT_ERROR(open(params_of(depths), d), "scene.index.twice", "depth.txt:2", "depth.txt:1");
+  EXPECT_ERROR(open(depths, d), "scene.index.twice", "depth.txt:2", "depth.txt:1");
 }
 
 TEST(Tum, NamesWithBackslashesAreRead) {
   Diagnostics d;
   const std::string folder = recording_of(usual_poses(), "10.00 rgb\\a.png\n10.10 .\\rgb\\b.png\n");
   plain_write(folder + "/depth.txt", "10.101 depth\\b.png\n10.005 depth\\a.png\n");
-  const SceneInfo info = open(params_of(folder), d);
+  const SceneInfo info = open(folder, d);
   EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
   ASSERT_EQ(info.frames.size(), 2u);
   EXPECT_EQ(info.frames[1].name, "b");
@@ -115,14 +110,10 @@ TEST(Tum, NamesWithBackslashesAreRead) {
 // Bad lines of the lists: tests/bad_files/indexes.cases.
 TEST(Tum, WhatDoesNotFitIsNamed) {
   Diagnostics d;
-  open(params_of(recording_of(row_at("10.00", room_pose(0)))), d);
+  open(recording_of(row_at("10.00", room_pose(0))), d);
   EXPECT_FINDING(d, "scene.pose.count", "groundtruth.txt", "1 of 2 images");
-  EXPECT_ERROR(open(params_of(recording_of(row_at("99.0", room_pose(0)))), d), "scene.pose.count", "within 20 ms");
-  TumParams p = params_of("x");
-  p.lens = {1, 2};
-  Diagnostics wrong;
-  validate(p, wrong);
-  EXPECT_FINDING(wrong, "scene.camera.format", "lens", "2 numbers");
+  EXPECT_ERROR(open(recording_of(row_at("99.0", room_pose(0))), d), "scene.pose.count", "within 20 ms");
+  EXPECT_ERROR(scene_of("x", "1,2"), "scene.camera.format", "lens", "2 numbers");
 }
 
 }  // namespace

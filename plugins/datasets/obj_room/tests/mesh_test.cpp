@@ -5,8 +5,6 @@
 #include <algorithm>
 
 #include "compute/parallel.h"
-#include "datasets/obj_room/mesh_io.h"
-#include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/obj_room.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "formats/image_io.h"

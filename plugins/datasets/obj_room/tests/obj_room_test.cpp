@@ -9,12 +9,10 @@
 
 #include "app/scene/folder_scene.h"
 #include "core/error.h"
-#include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/tests/obj_testing.h"
-#include "datasets/replica/replica.h"
 #include "system/files.h"
+#include "tests/datasets/named_dataset.h"
 #include "tests/datasets/rewritten_poses.h"
-#include "tests/linked_registry.h"
 
 namespace semfield {
 namespace {
@@ -22,21 +20,23 @@ namespace {
 using namespace testing_obj;
 namespace fs = std::filesystem;
 
-ObjRoomParams small(const std::string& root, int width = 40, int height = 30) {
-  return ObjRoomParams{.root = root,
-                       .width_px = width,
-                       .height_px = height,
-                       .frames = 4,
-                       .test_frames = 2,
-                       .supersample = 1,
-                       .occlusion_rays = 2,
-                       .shadow_rays = 1};
+/// A quick room, with further or other settings.
+NamedDataset small(const std::string& root, testkit::Settings settings = {}) {
+  settings.insert({{"root", root},
+                   {"width_px", "40"},
+                   {"height_px", "30"},
+                   {"frames", "4"},
+                   {"test_frames", "2"},
+                   {"supersample", "1"},
+                   {"occlusion_rays", "2"},
+                   {"shadow_rays", "1"}});
+  return NamedDataset("obj_room", settings);
 }
 
 const std::string kShipped = std::string(SEMFIELD_SOURCE_DIR) + "/scenes/room";
 
 /// Problems of a scene just opened, and its frames against what any scene promises.
-void check_frames(ObjRoom& room, const SceneInfo& info, int total) {
+void check_frames(const Dataset& room, const SceneInfo& info, int total) {
   ASSERT_EQ(static_cast<int>(info.frames.size()), total);
   FrameBuffer f;
   std::set<std::int16_t> seen;
@@ -58,10 +58,7 @@ void check_frames(ObjRoom& room, const SceneInfo& info, int total) {
 }
 
 TEST(ObjRoomShipped, IsRichSmallAndWithoutFault) {
-  ObjRoomParams p = small(kShipped);
-  p.frames = 12;
-  p.test_frames = 4;
-  ObjRoom room(p, {});
+  NamedDataset room = small(kShipped, {{"frames", "12"}, {"test_frames", "4"}});
   Diagnostics d;
   const SceneInfo info = room.open(d);
   EXPECT_EQ(all_said(d), "");
@@ -72,10 +69,7 @@ TEST(ObjRoomShipped, IsRichSmallAndWithoutFault) {
 }
 
 TEST(ObjRoomShipped, TrainAndTestFramesAreDistinctAndSpread) {
-  ObjRoomParams p = small(kShipped, 8, 6);
-  p.frames = 30;
-  p.test_frames = 10;
-  ObjRoom room(p, {});
+  NamedDataset room = small(kShipped, {{"width_px", "8"}, {"height_px", "6"}, {"frames", "30"}, {"test_frames", "10"}});
   Diagnostics d;
   const SceneInfo info = room.open(d);
   std::set<std::string> names;
@@ -113,9 +107,7 @@ std::string room_folder() {
 }
 
 TEST(ObjRoom, CamerasOfAFileAndBoundsFromWhatTheyMeet) {
-  ObjRoomParams p = small(room_folder());
-  p.cameras = "cameras.txt";
-  ObjRoom room(p, {});
+  NamedDataset room = small(room_folder(), {{"cameras", "cameras.txt"}});
   Diagnostics d;
   const SceneInfo info = room.open(d);
   EXPECT_EQ(all_said(d), "");
@@ -138,10 +130,9 @@ TEST(ObjRoom, CamerasOfAFileAndBoundsFromWhatTheyMeet) {
 
 // Every side of the crate, and every wall, is an object of its own in the file.
 TEST(ObjRoom, InstancesAreObjectsOfTheFileOrPieces) {
-  ObjRoomParams p = small(room_folder());
-  p.cameras = "cameras.txt";
-  const auto instances = [&] {  // of each class
-    ObjRoom room(p, {});
+  const std::string folder = room_folder();
+  const auto instances = [&](const std::string& are) {  // of each class
+    NamedDataset room = small(folder, {{"cameras", "cameras.txt"}, {"instances", are}});
     Diagnostics d;
     const SceneInfo info = room.open(d);
     std::map<std::string, std::set<std::int32_t>> out;
@@ -153,23 +144,19 @@ TEST(ObjRoom, InstancesAreObjectsOfTheFileOrPieces) {
     }
     return out;
   };
-  EXPECT_GE(instances().at("crate").size(), 2u);
-  EXPECT_GE(instances().at("wall").size(), 3u);
-  p.instances = RoomInstances::pieces;
+  EXPECT_GE(instances("objects").at("crate").size(), 2u);
+  EXPECT_GE(instances("objects").at("wall").size(), 3u);
+  const auto pieces = instances("pieces");
   std::set<std::int32_t> all;
-  for (const auto& [name, ids] : instances()) {
+  for (const auto& [name, ids] : pieces) {
     EXPECT_EQ(ids.size(), 1u) << name;
     all.insert(ids.begin(), ids.end());
   }
-  EXPECT_EQ(all.size(), instances().size()) << "pieces of two classes have two numbers";
+  EXPECT_EQ(all.size(), pieces.size()) << "pieces of two classes have two numbers";
 }
 
 TEST(ObjRoom, GivenNearFarAndBoundsHold) {
-  ObjRoomParams p = small(room_folder());
-  p.bounds = {-2, -1.5, 0, 0, 1.5, 2.5};
-  p.near_m = 0.2;
-  p.far_m = 7;
-  ObjRoom room(p, {});
+  NamedDataset room = small(room_folder(), {{"bounds", "-2,-1.5,0,0,1.5,2.5"}, {"near_m", "0.2"}, {"far_m", "7"}});
   Diagnostics d;
   const SceneInfo info = room.open(d);
   EXPECT_EQ(info.near_hint_m, 0.2);
@@ -178,10 +165,10 @@ TEST(ObjRoom, GivenNearFarAndBoundsHold) {
 }
 
 TEST(ObjRoom, SettingsThatContradictAreNamed) {
-  ObjRoomParams p{.lowest_m = 2, .bounds = {0, 0, 0, 1, -1, 1}, .near_m = 3, .far_m = 2};
-  Diagnostics d;
-  validate(p, d);
-  EXPECT_EQ(d.error_count(), 3);
+  const std::string said = error_of([] {
+    small("room", {{"lowest_m", "2"}, {"bounds", "0,0,0,1,-1,1"}, {"near_m", "3"}, {"far_m", "2"}});
+  });
+  EXPECT_HAS(said, "highest_m", "far_m", "bounds");
 }
 
 std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
@@ -195,10 +182,7 @@ class ObjRoomOthers : public testing::TestWithParam<std::pair<const char*, int>>
 TEST_P(ObjRoomOthers, OpensWithItsClassesAndPoses) {
   const auto& [name, classes] = GetParam();
   if (!fs::exists(data(name))) GTEST_SKIP() << "the optional OBJ rooms are not at hand";
-  ObjRoomParams p = small(data(name), 64, 48);
-  p.up = UpAxis::y;
-  p.frames = 16;
-  ObjRoom room(p, {});
+  NamedDataset room = small(data(name), {{"width_px", "64"}, {"height_px", "48"}, {"up", "y"}, {"frames", "16"}});
   Diagnostics d;
   const SceneInfo info = room.open(d);
   expect_no_errors(d);
@@ -211,23 +195,14 @@ INSTANTIATE_TEST_SUITE_P(Rooms, ObjRoomOthers,
                          [](const auto& room) { return std::string(room.param.first); });
 
 TEST(ObjRoomShipped, PoseConventionsAreTold) {
-  ObjRoomParams p = small(kShipped, 64, 48);
-  p.frames = 16;
-  ObjRoom room(p, {});
+  NamedDataset room = small(kShipped, {{"width_px", "64"}, {"height_px", "48"}, {"frames", "16"}});
   expect_conventions_told(room, "poses agree with depth");
 }
 
 // A captured room is the room, every channel through the Replica layout and back; cast frames are kept and found again.
 
-template <class Params>
-std::unique_ptr<Dataset> linked(const std::string& name, const Params& params) {
-  ParamsOf<Params> erased;
-  erased.value = params;
-  return testkit::linked_registry().get(PluginKind::dataset, name).dataset(erased, {});
-}
-
-ReplicaParams all_frames(const std::string& root) {
-  return ReplicaParams{.root = root, .train_step = 1, .test_step = 0};
+NamedDataset captured(const std::string& root) {
+  return NamedDataset("replica", {{"root", root}, {"train_step", "1"}, {"test_step", "0"}});
 }
 
 /// Captures what `source` gives, opens it as Replica frames and compares.
@@ -244,8 +219,8 @@ void round_trip(Dataset& source, int frames, const std::string& folder) {
   EXPECT_EQ(report.depth_clipped, 0);
   EXPECT_GT(report.bytes, 500);
 
-  const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
-  const SceneInfo back = replica->open(d);
+  NamedDataset replica = captured(folder);
+  const SceneInfo back = replica.open(d);
   EXPECT_EQ(all_said(d), "");
   ASSERT_EQ(back.frames.size(), static_cast<std::size_t>(frames));
   ASSERT_EQ(back.classes.valid_count(), info.classes.valid_count());
@@ -265,7 +240,7 @@ void round_trip(Dataset& source, int frames, const std::string& folder) {
     EXPECT_TRUE(b.has_depth && b.has_labels && b.has_instances);
     FrameBuffer fa, fb;
     source.read(i, fa);
-    replica->read(i, fb);
+    replica.read(i, fb);
     EXPECT_EQ(fa.rgb, fb.rgb);
     EXPECT_EQ(fa.label, fb.label);
     EXPECT_EQ(fa.instance, fb.instance);
@@ -275,15 +250,9 @@ void round_trip(Dataset& source, int frames, const std::string& folder) {
 }
 
 TEST(Capture, ShippedRoomComesBackAsItWas) {
-  ObjRoomParams p{.root = std::string(SEMFIELD_SOURCE_DIR) + "/scenes/room",
-                  .width_px = 40,
-                  .height_px = 30,
-                  .frames = 3,
-                  .test_frames = 0,
-                  .supersample = 1,
-                  .occlusion_rays = 2};
   const std::string folder = fresh_folder("out") + "/captured";
-  round_trip(*linked("obj_room", p), 3, folder);
+  NamedDataset room = small(kShipped, {{"frames", "3"}, {"test_frames", "0"}});
+  round_trip(room, 3, folder);
   const std::string intrinsics = read_text_file(folder + "/intrinsics.txt");
   EXPECT_EQ(intrinsics.rfind("40 30 20", 0), 0u) << intrinsics;
 }
@@ -327,10 +296,10 @@ TEST(Capture, DepthIsMended) {
   const std::string folder = fresh_folder("out");
   app::capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
   Diagnostics d;
-  const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
-  replica->open(d);
+  NamedDataset replica = captured(folder);
+  replica.open(d);
   FrameBuffer f;
-  replica->read(0, f);
+  replica.read(0, f);
   EXPECT_NEAR(f.depth_m[0], 2 * wall.frame.depth_m[0], 1e-3);
 }
 
@@ -344,10 +313,10 @@ TEST(Capture, InstancesBeyondAByteAndDepthBeyondTheRange) {
   const app::CaptureReport report = app::capture_replica(wall, wall.info, folder);
   EXPECT_EQ(report.depth_clipped, 4);  // two frames
   Diagnostics d;
-  const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
-  replica->open(d);
+  NamedDataset replica = captured(folder);
+  replica.open(d);
   FrameBuffer f;
-  replica->read(0, f);
+  replica.read(0, f);
   EXPECT_EQ(f.instance, wall.frame.instance);
   EXPECT_EQ(f.depth_m[0], 0);
   EXPECT_EQ(f.depth_m[1], 0);
@@ -369,7 +338,7 @@ TEST(Capture, ChannelsThatTheSceneLacksAreLeftOut) {
   for (const char* name : {"depth", "semantic_class", "semantic_instance", "classes.yaml"})
     EXPECT_FALSE(fs::exists(folder + "/" + name)) << name;
   Diagnostics d;
-  const SceneInfo back = linked("replica", all_frames(folder))->open(d);
+  const SceneInfo back = captured(folder).open(d);
   EXPECT_EQ(all_said(d), "");
   ASSERT_EQ(back.frames.size(), 2u);
   EXPECT_FALSE(back.frames[0].has_depth || back.frames[0].has_labels || back.frames[0].has_instances);
@@ -405,18 +374,10 @@ class CastCacheTest : public testing::Test {
     ::unsetenv("SEMFIELD_CACHE_GB");
   }
 
-  static ObjRoomParams params() {
-    return ObjRoomParams{.root = std::string(SEMFIELD_SOURCE_DIR) + "/scenes/room",
-                         .width_px = 24,
-                         .height_px = 18,
-                         .frames = 2,
-                         .test_frames = 1,
-                         .supersample = 1,
-                         .occlusion_rays = 1,
-                         .shadow_rays = 1};
-  }
-  static std::vector<FrameBuffer> frames(const ObjRoomParams& p) {
-    ObjRoom room(p, {});
+  static std::vector<FrameBuffer> frames(testkit::Settings settings = {}) {
+    settings.insert(
+        {{"width_px", "24"}, {"height_px", "18"}, {"frames", "2"}, {"test_frames", "1"}, {"occlusion_rays", "1"}});
+    NamedDataset room = small(kShipped, settings);
     Diagnostics diagnostics;
     const SceneInfo info = room.open(diagnostics);
     std::vector<FrameBuffer> all(info.frames.size());
@@ -447,15 +408,15 @@ class CastCacheTest : public testing::Test {
 
 // What is kept is what is read: pictures of one file in the place of another come back as they are.
 TEST_F(CastCacheTest, AKeptFrameIsReadAndNotCast) {
-  const auto cast = frames(params());
+  const auto cast = frames();
   const auto files = kept();
   ASSERT_EQ(files.size(), 3U);
   fs::copy_file(files[1], files[0], fs::copy_options::overwrite_existing);
-  EXPECT_EQ(frames(params())[0].rgb, cast[1].rgb);
+  EXPECT_EQ(frames()[0].rgb, cast[1].rgb);
 }
 
 TEST_F(CastCacheTest, ADamagedFileIsCastAgainAndMended) {
-  const auto cast = frames(params());
+  const auto cast = frames();
   for (const fs::path& file : kept()) {
     std::fstream stream(file, std::ios::in | std::ios::out | std::ios::binary);
     stream.seekp(200);
@@ -463,27 +424,21 @@ TEST_F(CastCacheTest, ADamagedFileIsCastAgainAndMended) {
     stream.put('\x55');
   }
   fs::resize_file(kept()[2], 100);
-  expect_equal(frames(params()), cast);
-  expect_equal(frames(params()), cast);
+  expect_equal(frames(), cast);
+  expect_equal(frames(), cast);
   EXPECT_GT(fs::file_size(kept()[2]), 100U);
 }
 
 TEST_F(CastCacheTest, WhateverChangesPicturesHasItsOwnPlace) {
-  const auto cast = frames(params());
-  const auto differs = [&](const auto& change) {
-    ObjRoomParams p = params();
-    change(p);
+  const auto cast = frames();
+  for (const auto& [name, value] :
+       {std::pair{"exposure", "1.1"}, {"seed", "7"}, {"daylight", "0"}, {"hfov_deg", "70"}, {"occlusion_rays", "4"}}) {
     const std::size_t before = kept().size();
-    const auto changed = frames(p);
+    const auto changed = frames({{name, value}});
     EXPECT_EQ(kept().size(), before + 3);
     EXPECT_NE(changed[0].rgb, cast[0].rgb);
-  };
-  differs([](ObjRoomParams& p) { p.exposure = 1.1; });
-  differs([](ObjRoomParams& p) { p.seed = 7; });
-  differs([](ObjRoomParams& p) { p.daylight = 0; });
-  differs([](ObjRoomParams& p) { p.hfov_deg = 70; });
-  differs([](ObjRoomParams& p) { p.occlusion_rays = 4; });
-  expect_equal(frames(params()), cast);
+  }
+  expect_equal(frames(), cast);
 }
 
 TEST_F(CastCacheTest, ATextureThatChangesChangesTheKey) {
@@ -501,27 +456,25 @@ TEST_F(CastCacheTest, ATextureThatChangesChangesTheKey) {
 
 TEST_F(CastCacheTest, RoomsUnusedForLongestGo) {
   ::setenv("SEMFIELD_CACHE_GB", "0.00000001", 1);  // 10 bytes: only the room in use stays
-  (void)frames(params());
-  ObjRoomParams other = params();
-  other.exposure = 1;
-  (void)frames(other);
+  (void)frames();
+  (void)frames({{"exposure", "1"}});
   EXPECT_EQ(kept().size(), 3U);
   ::setenv("SEMFIELD_CACHE_GB", "0", 1);
   fs::remove_all(folder_);
-  (void)frames(params());
+  (void)frames();
   EXPECT_EQ(kept().size(), 0U);
 }
 
 TEST_F(CastCacheTest, NothingIsKeptWhereItIsOffOrCannotBe) {
   ::setenv("SEMFIELD_CACHE", "off", 1);
   EXPECT_EQ(cache_folder("rooms"), "");
-  const auto cast = frames(params());
+  const auto cast = frames();
   EXPECT_EQ(kept().size(), 0U);
   ::setenv("SEMFIELD_CACHE", "/proc/none", 1);
-  expect_equal(frames(params()), cast);
+  expect_equal(frames(), cast);
   ::setenv("SEMFIELD_CACHE", folder_.c_str(), 1);
   ::setenv("SEMFIELD_CACHE_GB", "two", 1);
-  EXPECT_THROW((void)frames(params()), Error);
+  EXPECT_THROW((void)frames(), Error);
 }
 
 }  // namespace

@@ -3,8 +3,7 @@
 
 #include <sstream>
 
-#include "datasets/obj_room/mesh_io.h"
-#include "datasets/obj_room/mesh_render.h"
+#include "datasets/obj_room/obj_room.h"
 #include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 
