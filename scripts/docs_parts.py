@@ -31,6 +31,15 @@ def pages_of(root):
     return pages
 
 
+def sources_in(root, folders, endings):
+    """(path, text) of sources that are no tests."""
+    for path in sorted(os.path.join(where, name) for folder in folders
+                       for where, _, names in os.walk(os.path.join(root, folder)) for name in names):
+        if path.endswith(endings) and not path.endswith("_test.cpp") and not re.search("./tests/", path[len(root) + 1:]):
+            with open(path, encoding="utf-8") as file:
+                yield os.path.relpath(path, root), file.read()
+
+
 def links_of(text):
     return [m["target"] for m in LINK.finditer(FENCE.sub("", text)) if m["target"]]
 
@@ -296,13 +305,11 @@ def use_of(before, behind, python, wrappers):
 def collect(root):
     """{code: (endings, sentence)}"""
     codes, sources, shared = {}, [], {}
-    for path in sorted(os.path.join(where, name) for folder in FOLDERS for where, _, names in os.walk(os.path.join(root, folder)) for name in names):
-        if path.endswith((".cpp", ".h", ".cu", ".py")) and not path.endswith("_test.cpp") and "/tests/" not in path[len(root) + 1:].removeprefix("tests"):
-            python = path.endswith(".py")
-            with open(path, encoding="utf-8") as file:  # without comments and literals that are no sentences
-                text = NOTHING[python].sub(lambda m: m[1] or " ", file.read())
-            sources.append((text, python, dict(WRAPPER.findall(text))))
-            shared.update(sources[-1][2] if path.endswith(".h") else {})
+    for path, text in sources_in(root, FOLDERS, (".cpp", ".h", ".cu", ".py")):
+        python = path.endswith(".py")
+        text = NOTHING[python].sub(lambda m: m[1] or " ", text)  # without comments and literals that are no sentences
+        sources.append((text, python, dict(WRAPPER.findall(text))))
+        shared.update(sources[-1][2] if path.endswith(".h") else {})
     shared = {call: kind for call, kind in shared.items() if call not in ("report", "error")}
     for text, python, own in sources:
         for code in CODE.finditer(text):

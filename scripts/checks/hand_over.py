@@ -206,18 +206,15 @@ Open3D, PCL and OctoMap, handover_test leaves those out."""
         page = folder / "room.html"
         common.run(build / "bin" / "semfield", "export", run, "--to", page, "-q")
         figures["html_mb"] = page.stat().st_size * 1e-6
-        if not browser.programs():
-            common.say("html_opens: apt-get install chromium chromium-driver")
-        else:
-            with browser.Driver() as driver:
-                window = driver.browser()
+        missing = {"html_opens": [] if browser.programs() else ["chromium", "chromium-driver"],
+                   "firefox_opens": firefox.missing()}
+        for key, packages in missing.items():
+            if packages:
+                common.say(f"{key}: apt-get install {' '.join(packages)}")
+                continue
+            with browser.Driver() if key == "html_opens" else firefox.Firefox() as driver:
+                window = driver.browser() if key == "html_opens" else driver
                 window.open(page.as_uri())
-                figures["html_opens"] = "yes" if opened(window.run) and not window.complaints() else "no"
-        if firefox.missing():
-            common.say("firefox_opens: apt-get install " + " ".join(firefox.missing()))
-        else:
-            with firefox.Firefox() as window:
-                window.open(page.as_uri())
-                figures["firefox_opens"] = "yes" if opened(window.run) else "no"
-    common.check("no" not in figures.values(), "the page does not open")
+                good = opened(window.run) and (key == "firefox_opens" or not window.complaints())
+                figures[key] = "yes" if common.check(good, f"{key}: the page does not open") else "no"
     return figures

@@ -1,6 +1,7 @@
 """The suite and trainings under conditions that no test makes: odd machines, kills, hours, compute-sanitizer."""
 import collections
 import concurrent.futures
+import json
 import os
 import pathlib
 import re
@@ -185,16 +186,6 @@ BEHIND_BULK_COPIES = re.compile("fused::.*(weight_gradient|per_ray|head_gradient
 GREEDY = re.compile("CudaRun.(MemoryThatIsNotThere|AStepThatDoesNotFit)")
 
 
-def names_of(listed):
-    """Full names of the tests that --gtest_list_tests names."""
-    suite = ""
-    for line in listed.splitlines():
-        if line.startswith("  "):
-            yield suite + line.split()[0]
-        else:
-            suite = line.split()[0]
-
-
 def gpu_sanitize(*tools: "default: memcheck initcheck racecheck", tests: "a filter as --gtest_filter takes it" = "*",
                  jobs: "tests at a time" = (os.cpu_count() + 1) // 2, test_s: "seconds a test may take" = 600,
                  all_s: "seconds for everything; what is left is unfinished" = 86400):
@@ -211,7 +202,10 @@ copies, are counted apart. A tool's figure is how many tests of all passed."""
     shutil.rmtree(log, ignore_errors=True)
     log.mkdir()
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "2"}
-    names = list(names_of(common.run(program, "--gtest_list_tests", f"--gtest_filter={tests}")))
+    listed = log / "tests.json"
+    common.run(program, "--gtest_list_tests", f"--gtest_filter={tests}", f"--gtest_output=json:{listed}")
+    names = [f"{suite['name']}.{one['name']}" for suite in json.loads(listed.read_text())["testsuites"]
+             for one in suite["testsuite"]]
 
     def one(tool, name):
         """What came of a test; what the tool printed is in its log."""
