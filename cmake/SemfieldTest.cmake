@@ -44,7 +44,7 @@ function(semfield_add_program_test name file)
   if(Python3_Interpreter_FOUND)
     add_test(NAME ${name} COMMAND ${Python3_EXECUTABLE} -B ${CMAKE_CURRENT_SOURCE_DIR}/${file})
     set_tests_properties(${name} PROPERTIES TIMEOUT 1200 ENVIRONMENT
-      "SEMFIELD_BINARY=$<TARGET_FILE:semfield_app>;SEMFIELD_CACHE=off;OMP_WAIT_POLICY=passive;CUDA_VISIBLE_DEVICES=;${ARGN}")
+      "SEMFIELD_BINARY=$<TARGET_FILE:semfield_app>;SEMFIELD_ANALYTIC_ROOM=$<TARGET_FILE:semfield_analytic_room>;SEMFIELD_CACHE=off;OMP_WAIT_POLICY=passive;CUDA_VISIBLE_DEVICES=;${ARGN}")
   endif()
 endfunction()
 

@@ -1,6 +1,8 @@
 """The program as tests run it, each in a folder of its own, and a room to give it."""
 
 import collections
+import functools
+import json
 import math
 import os
 import pathlib
@@ -71,6 +73,44 @@ def write_room(folder, frames=5, width=40, height=30):
         f"- {{id: {k + 1}, name: {name}}}\n" for k, name in enumerate("west east ceiling floor south north".split())))
 
 
+@functools.cache
+def crc_table():
+    table = list(range(256))
+    for _ in range(8):
+        table = [crc >> 1 ^ (0x82F63B78 if crc & 1 else 0) for crc in table]
+    return table
+
+
+def crc32c(data):
+    crc, table = 0xFFFFFFFF, crc_table()
+    for byte in data:
+        crc = crc >> 8 ^ table[(crc ^ byte) & 255]
+    return crc ^ 0xFFFFFFFF
+
+
+def newest_step(run):
+    """Of its checkpoints; -1: there is none."""
+    return max((int(path.stem[5:]) for path in (run / "checkpoints").glob("step_*.safetensors")), default=-1)
+
+
+@functools.cache
+def sound_tensors(path, changed_at):
+    """Bytes of a checkpoint's tensors by name; AssertionError where the file is damaged."""
+    data = path.read_bytes()
+    begin = 8 + struct.unpack_from("<Q", data)[0]
+    header = json.loads(data[8:begin])
+    at = data.index(mark := b'"semfield.crc32c":"') + len(mark)
+    assert int(data[at:at + 8], 16) == crc32c(data[:at] + b"00000000" + data[at + 8:]), f"{path} is damaged"
+    header.pop("__metadata__")
+    return {name: data[begin + one["data_offsets"][0]:begin + one["data_offsets"][1]] for name, one in header.items()}
+
+
+def tensors(run):
+    """Of the newest checkpoint."""
+    path = run / f"checkpoints/step_{newest_step(run):08}.safetensors"
+    return sound_tensors(path, path.stat().st_mtime_ns)
+
+
 def until(condition, seconds=60):
     """What `condition` gives once it is true, or at last."""
     end = time.monotonic() + seconds
@@ -117,6 +157,15 @@ class ProgramCase(unittest.TestCase):
         made = tempfile.TemporaryDirectory(prefix="semfield_test_", ignore_cleanup_errors=True)
         self.addCleanup(made.cleanup)
         return pathlib.Path(made.name)
+
+    def room(self, steps=200, every_s=0, more="", folder=None):
+        """Packs the analytic room and writes config.yaml, which trains on it and saves so often; the file's path."""
+        folder = folder or self.dir
+        subprocess.run([os.environ["SEMFIELD_ANALYTIC_ROOM"], folder / "room.sfpack"], check=True)
+        config = CONFIG.replace("ROOM", "{type: packed, file: room.sfpack}").replace("steps: 200", f"steps: {steps}")
+        report = f"report: {{eval_every_s: 0, strips: 0, log_every_steps: 5, checkpoint_every_s: {every_s}}}\n"
+        (folder / "config.yaml").write_text(config + report + more)
+        return folder / "config.yaml"
 
     def write(self, name, text):
         path = self.dir / name
