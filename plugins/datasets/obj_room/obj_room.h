@@ -10,11 +10,8 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/small_math.h"
-#include "datasets/obj_room/mesh_io.h"
-#include "datasets/obj_room/mesh_render.h"
-#include "plugin/dataset.h"
-#include "scene/camera.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 
@@ -97,14 +94,12 @@ using OpaqueTest = std::function<bool(std::int64_t, float, float)>;
 bool raycast_available();
 
 /// Ray queries, const and callable from any thread. Keeps its own copy of nothing: the mesh must outlive it.
-class Raycaster {
+class Raycaster : NonCopyable {
  public:
   /// `cut_out` has one element a triangle (true: ask `opaque` at every hit) or is empty. Throws Error(unavailable) in a
   /// build without Embree.
   explicit Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out = {}, OpaqueTest opaque = {});
   ~Raycaster();
-  Raycaster(const Raycaster&) = delete;
-  Raycaster& operator=(const Raycaster&) = delete;
 
   /// Nearest hit of origin + t * direction with t in (0, max_m]; direction has unit length.
   RayHit trace(Vec3d origin, Vec3d direction, double max_m = 1e6) const;
@@ -181,15 +176,12 @@ struct RenderSettings {
 };
 
 /// Renders a mesh. Colours do not depend on the view direction; results do not depend on threads.
-class MeshRenderer {
+class MeshRenderer : NonCopyable {  // the ray-casting scene points into this object
  public:
   /// Loads textures (problems become warnings) and builds the ray-casting scene. `class_of` has one class index a
   /// triangle.
   MeshRenderer(TriangleMesh mesh, std::vector<std::int16_t> class_of, RenderSettings settings,
                Diagnostics& diagnostics);
-
-  MeshRenderer(const MeshRenderer&) = delete;  // the ray-casting scene points into this object
-  MeshRenderer& operator=(const MeshRenderer&) = delete;
 
   /// All channels of one frame; instance = piece or object index + 1. `frame` addresses the random values.
   void render(const Camera& camera, const Pose& world_from_camera, std::uint64_t frame, FrameBuffer& out) const;
