@@ -9,6 +9,7 @@
 #include <ctime>
 #include <filesystem>
 #include <new>
+#include <string_view>
 
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
@@ -144,7 +145,9 @@ std::string viewer(const std::string& title, const Json& facts, const std::strin
   const auto part = [](const std::string& name) {
     return read_text_file(shared_file("app/render/scene_page/" + name));
   };
-  std::string script;
+  std::string script = part("../../serve/page/pointer.js");
+  constexpr std::string_view kExport = "export ";  // the page is no module
+  script.erase(script.find(kExport), kExport.size());
   for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
   if (live) script += part("live.js");
   return filled_page(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},

@@ -3,7 +3,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <cstdio>
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -116,26 +115,20 @@ PoolOptions pool_options(const SweepOptions& options, const std::vector<Cell>& c
 // Lists the cells and which of them are done.
 int list_cells(const std::vector<Cell>& cells, const std::string& folder, const Sweep& sweep,
                const AppContext& context) {
-  std::vector<bool> done;
-  for (const Cell& cell : cells) done.push_back(result_of_cell(folder, cell.id).has_value());
-  print_note(context,
-             fmt::format("{}: {} experiments, {} cells, {} of them done, in {}", sweep.name, sweep.experiments.size(),
-                         cells.size(), std::count(done.begin(), done.end(), true), folder));
+  int done = 0;
   Json planned = Json::array();
-  for (std::size_t i = 0; i < cells.size(); ++i) {
-    const Cell& cell = cells[i];
-    if (context.json) {
-      planned.push_back({{"cell", cell.id},
-                         {"label", cell.label},
-                         {"scene", cell.scene},
-                         {"seed", cell.seed},
-                         {"done", static_cast<bool>(done[i])}});
-    } else {
-      std::printf("%s %s, %s, seed %lld%s\n", cell.id.c_str(), cell.label.c_str(), cell.scene.c_str(),
-                  static_cast<long long>(cell.seed), done[i] ? " (done)" : "");
-    }
+  std::string lines;
+  for (const Cell& cell : cells) {
+    const bool is_done = result_of_cell(folder, cell.id).has_value();
+    done += is_done ? 1 : 0;
+    planned.push_back(
+        {{"cell", cell.id}, {"label", cell.label}, {"scene", cell.scene}, {"seed", cell.seed}, {"done", is_done}});
+    lines += fmt::format("{}{} {}, {}, seed {}{}", lines.empty() ? "" : "\n", cell.id, cell.label, cell.scene,
+                         cell.seed, is_done ? " (done)" : "");
   }
-  if (context.json) print_json(context, {{"folder", folder}, {"planned", planned}});
+  print_note(context, fmt::format("{}: {} experiments, {} cells, {} of them done, in {}", sweep.name,
+                                  sweep.experiments.size(), cells.size(), done, folder));
+  print_results(context, {{"folder", folder}, {"planned", planned}}, lines);
   return 0;
 }
 
@@ -186,11 +179,9 @@ class SweepProgress {
   // broken process, and ends the others.
   int end(bool whole, const std::string& folder, const EndedCells& ended) const {
     const std::size_t done = ended.results.size(), failed = ended.failures.size();
-    if (place_.reports() && context_.json) {
-      print_json(context_, {{"folder", folder}, {"cells", cells_.size()}, {"done", done}, {"failed", failed}});
-    } else if (place_.reports()) {
-      std::printf("sweep: cells=%zu done=%zu failed=%zu folder=%s\n", cells_.size(), done, failed, folder.c_str());
-    }
+    if (place_.reports())
+      print_results(context_, {{"folder", folder}, {"cells", cells_.size()}, {"done", done}, {"failed", failed}},
+                    fmt::format("sweep: cells={} done={} failed={} folder={}", cells_.size(), done, failed, folder));
     if (!whole) {
       if (place_.reports()) print_note(context_, "stopped; the same command resumes the sweep");
       return 128 + stop_signal();

@@ -8,6 +8,7 @@
 #include <numbers>
 #include <numeric>
 #include <set>
+#include <tuple>
 #include <unordered_map>
 #include <unordered_set>
 #include <utility>
@@ -24,6 +25,12 @@ namespace semfield {
 namespace {
 
 constexpr const char* kChoice = "point_learner/choice";
+
+// Where `at` falls among sums of weights.
+std::size_t place_in(const std::vector<double>& up_to, double at) {
+  const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
+  return static_cast<std::size_t>(std::min(found, std::ssize(up_to) - 1));
+}
 
 // Labelled points by class.
 class PointChoice {
@@ -51,17 +58,13 @@ class PointChoice {
 
   std::int32_t draw(const RandomAddress& address, std::int64_t i) const {
     const auto index = 2 * static_cast<std::uint64_t>(i);
-    const auto chosen = place_of(class_up_to_, static_cast<double>(uniform01(address, index)) * class_up_to_.back());
+    const auto chosen = place_in(class_up_to_, static_cast<double>(uniform01(address, index)) * class_up_to_.back());
     const Class& from = classes_[chosen];
     const double at = static_cast<double>(uniform01(address, index + 1)) * from.up_to.back();
-    return from.points[place_of(from.up_to, at)];
+    return from.points[place_in(from.up_to, at)];
   }
 
  private:
-  static std::size_t place_of(const std::vector<double>& up_to, double at) {
-    const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
-    return static_cast<std::size_t>(std::min(found, std::ssize(up_to) - 1));
-  }
   struct Class {
     std::vector<std::int32_t> points;
     std::vector<double> up_to;  // sum of weights
@@ -288,8 +291,7 @@ std::vector<std::int32_t> candidates_of(const ProposalInput& in, std::span<const
     const double at =
         (static_cast<double>(k) + static_cast<double>(uniform01(address, static_cast<std::uint64_t>(k)))) /
         static_cast<double>(in.rules.candidates) * sum;
-    const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
-    out.push_back(may[static_cast<std::size_t>(std::min(found, std::ssize(may) - 1))]);
+    out.push_back(may[place_in(up_to, at)]);
   }
   return out;
 }
@@ -353,101 +355,7 @@ std::uint64_t key_of(const LabelledPixels& click) {
   return hash;
 }
 
-// The first pixel of a stroke on each cell of the pool; where the view's map meets nothing, on each pixel of the map.
-std::vector<PixelPlace> one_a_cell(const LabelledPixels& stroke, const NamedPlaces::Surface& surface) {
-  const auto v = static_cast<std::size_t>(stroke.view);
-  const SurfaceMap& map = surface.views[v].map;
-  std::vector<PixelPlace> some;
-  std::unordered_set<std::int64_t> taken;
-  for (const PixelPlace& pixel : stroke.pixels) {
-    if (!map.empty()) {
-      const std::int64_t x = std::clamp(pixel.column / map.stride, 0, map.width_px - 1),
-                         y = std::clamp(pixel.row / map.stride, 0, map.height_px - 1), at = y * map.width_px + x;
-      const bool pooled = v < surface.pool.point_of_pixel.size() && !surface.pool.point_of_pixel[v].empty();
-      const std::int32_t point = pooled ? surface.pool.point_of_pixel[v][static_cast<std::size_t>(at)] : -1;
-      if (!taken.insert(point >= 0 ? point : -1 - at).second) continue;
-    }
-    some.push_back(pixel);
-  }
-  if (some.size() <= kMostPixels) return some;
-  std::vector<PixelPlace> fewer;
-  for (std::size_t i = 0; i < kMostPixels; ++i) fewer.push_back(some[i * some.size() / kMostPixels]);
-  return fewer;
-}
-
 }  // namespace
-
-std::vector<PixelPlace> NamedPlaces::pixels_of(const LabelledPixels& click, const Surface& surface) const {
-  if (is_stroke(click)) return one_a_cell(click, surface);
-  if (reach_px_ == 0) return click.pixels;
-  const StoredFrame& photo = *surface.views[static_cast<std::size_t>(click.view)].photo;
-  std::vector<PixelPlace> all = click.pixels;
-  const PixelPlace center = click.pixels.front();
-  const std::int32_t reach = std::max(1, reach_px_ * photo.width_px / 320);
-  const auto at = [&](std::int32_t x, std::int32_t y) {
-    return 3 * static_cast<std::size_t>(std::int64_t{y} * photo.width_px + x);
-  };
-  const std::size_t own = at(center.column, center.row);
-  for (std::int32_t y = center.row - reach; y <= center.row + reach; ++y) {
-    for (std::int32_t x = center.column - reach; x <= center.column + reach; ++x) {
-      const std::int32_t dx = x - center.column, dy = y - center.row;
-      if (x < 0 || y < 0 || x >= photo.width_px || y >= photo.height_px || dx * dx + dy * dy > reach * reach) continue;
-      if (dx == 0 && dy == 0) continue;
-      bool alike = true;
-      for (std::size_t c = 0; c < 3; ++c)
-        alike = alike && std::abs(int{photo.rgb[at(x, y) + c]} - int{photo.rgb[own + c]}) <= kAlikeColor;
-      if (alike) all.push_back({x, y});
-    }
-  }
-  return all;
-}
-
-void NamedPlaces::look_for(Known& known, const LabelledPixels& click, const Surface& surface) {
-  const RayCamera& camera = surface.views[static_cast<std::size_t>(click.view)].camera;
-  const std::vector<PixelPlace> pixels = pixels_of(click, surface);
-  const std::vector<float> distance = surface_distances(surface.pipeline, camera, surface.limits, pixels);
-  ++found_;
-  known.age = age_;
-  known.places.clear();
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    const bool own = is_stroke(click) || i < click.pixels.size();
-    if (!(distance[i] > 0)) continue;
-    if (!own && !(std::abs(distance[i] - distance[0]) < kAlikeDistance * distance[0])) continue;
-    known.places.push_back(point_at(camera, surface.limits, pixels[i], static_cast<double>(distance[i])));
-  }
-}
-
-bool NamedPlaces::find(std::span<const LabelledPixels> clicks, const Surface& surface, double budget_s) {
-  const Clock::time_point start = Clock::now();
-  ++turn_;
-  keys_.clear();
-  bool all = true, first = true;
-  for (const LabelledPixels& click : clicks) {
-    keys_.push_back(key_of(click));
-    Known& known = known_[keys_.back()];
-    known.turn = turn_;
-    if (known.age > 0) continue;
-    if (!first && seconds_since(start) >= budget_s) {
-      all = false;
-      continue;
-    }
-    first = false;
-    look_for(known, click, surface);
-  }
-  std::erase_if(known_, [&](const auto& entry) { return entry.second.turn != turn_; });
-  return all;
-}
-
-void NamedPlaces::refresh(std::span<const LabelledPixels> clicks, const Surface& surface, double budget_s) {
-  const Clock::time_point start = Clock::now();
-  for (std::size_t i = 0; i < keys_.size() && seconds_since(start) < budget_s; ++i) {
-    Known& known = known_.at(keys_[i]);
-    if (known.age == 0 || known.age == age_) continue;
-    look_for(known, clicks[i], surface);
-  }
-}
-
-std::span<const Vec3d> NamedPlaces::of(std::size_t i) const { return known_.at(keys_.at(i)).places; }
 
 RayCamera FreeCamera::rays(std::int32_t width_px, std::int32_t height_px) const {
   RayCamera rays;
@@ -475,7 +383,6 @@ LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const Label
       pipeline_(*training.session().pipeline),
       options_(options),
       learner_(pipeline_),
-      places_(options.reach_px),
       logit_of_class_(training.session().logit_of_class()) {
   const Session& session = training.session();
   std::int64_t pixels = 0;
@@ -534,7 +441,7 @@ void LabelLoop::make_pool() {
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
   pool_rows_ = learner_.rows_at(positions);
   graph_ = SurfaceGraph(pool_, options_.graph);
-  places_.renew();
+  renew_places();
   settle_seeds();
   predict_pool();
 }
@@ -577,12 +484,97 @@ std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<con
   return out;
 }
 
+// The first pixel of a stroke on each cell of the pool; where the view's map meets nothing, on each pixel of the map.
+std::vector<PixelPlace> LabelLoop::one_a_cell(const LabelledPixels& stroke) const {
+  const auto v = static_cast<std::size_t>(stroke.view);
+  const SurfaceMap& map = views_[v].map;
+  std::vector<PixelPlace> some;
+  std::unordered_set<std::int64_t> taken;
+  for (const PixelPlace& pixel : stroke.pixels) {
+    if (!map.empty()) {
+      const std::int64_t x = std::clamp(pixel.column / map.stride, 0, map.width_px - 1),
+                         y = std::clamp(pixel.row / map.stride, 0, map.height_px - 1), at = y * map.width_px + x;
+      const bool pooled = v < pool_.point_of_pixel.size() && !pool_.point_of_pixel[v].empty();
+      const std::int32_t point = pooled ? pool_.point_of_pixel[v][static_cast<std::size_t>(at)] : -1;
+      if (!taken.insert(point >= 0 ? point : -1 - at).second) continue;
+    }
+    some.push_back(pixel);
+  }
+  if (some.size() <= kMostPixels) return some;
+  std::vector<PixelPlace> fewer;
+  for (std::size_t i = 0; i < kMostPixels; ++i) fewer.push_back(some[i * some.size() / kMostPixels]);
+  return fewer;
+}
+
+std::vector<PixelPlace> LabelLoop::pixels_of(const LabelledPixels& click) const {
+  if (is_stroke(click)) return one_a_cell(click);
+  if (options_.reach_px == 0) return click.pixels;
+  const StoredFrame& photo = *view(click.view).photo;
+  std::vector<PixelPlace> all = click.pixels;
+  const PixelPlace center = click.pixels.front();
+  const std::int32_t reach = std::max(1, options_.reach_px * photo.width_px / 320);
+  const auto at = [&](std::int32_t x, std::int32_t y) {
+    return 3 * static_cast<std::size_t>(std::int64_t{y} * photo.width_px + x);
+  };
+  const std::size_t own = at(center.column, center.row);
+  for (std::int32_t y = center.row - reach; y <= center.row + reach; ++y) {
+    for (std::int32_t x = center.column - reach; x <= center.column + reach; ++x) {
+      const std::int32_t dx = x - center.column, dy = y - center.row;
+      if (x < 0 || y < 0 || x >= photo.width_px || y >= photo.height_px || dx * dx + dy * dy > reach * reach) continue;
+      if (dx == 0 && dy == 0) continue;
+      bool alike = true;
+      for (std::size_t c = 0; c < 3; ++c)
+        alike = alike && std::abs(int{photo.rgb[at(x, y) + c]} - int{photo.rgb[own + c]}) <= kAlikeColor;
+      if (alike) all.push_back({x, y});
+    }
+  }
+  return all;
+}
+
+void LabelLoop::look_for(Known& known, const LabelledPixels& click) {
+  const RayCamera& camera = view(click.view).camera;
+  const std::vector<PixelPlace> pixels = pixels_of(click);
+  const RayLimits& limits = training_.session().limits;
+  const std::vector<float> distance = surface_distances(pipeline_, camera, limits, pixels);
+  ++found_;
+  known.age = age_;
+  known.places.clear();
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    const bool own = is_stroke(click) || i < click.pixels.size();
+    if (!(distance[i] > 0)) continue;
+    if (!own && !(std::abs(distance[i] - distance[0]) < kAlikeDistance * distance[0])) continue;
+    known.places.push_back(point_at(camera, limits, pixels[i], static_cast<double>(distance[i])));
+  }
+}
+
 bool LabelLoop::find_places(std::span<const LabelledPixels> clicks, double budget_s) {
-  return places_.find(clicks, surface(), budget_s);
+  const Clock::time_point start = Clock::now();
+  ++turn_;
+  keys_.clear();
+  bool all = true, first = true;
+  for (const LabelledPixels& click : clicks) {
+    keys_.push_back(key_of(click));
+    Known& known = known_[keys_.back()];
+    known.turn = turn_;
+    if (known.age > 0) continue;
+    if (!first && seconds_since(start) >= budget_s) {
+      all = false;
+      continue;
+    }
+    first = false;
+    look_for(known, click);
+  }
+  std::erase_if(known_, [&](const auto& entry) { return entry.second.turn != turn_; });
+  return all;
 }
 
 void LabelLoop::refresh_places(std::span<const LabelledPixels> clicks, double budget_s) {
-  places_.refresh(clicks, surface(), budget_s);
+  const Clock::time_point start = Clock::now();
+  for (std::size_t i = 0; i < keys_.size() && seconds_since(start) < budget_s; ++i) {
+    Known& known = known_.at(keys_[i]);
+    if (known.age == 0 || known.age == age_) continue;
+    look_for(known, clicks[i]);
+  }
 }
 
 LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks, const std::vector<bool>& left_out) {
@@ -593,7 +585,7 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks,
   for (std::size_t k = 0; k < clicks.size(); ++k) {
     if (!left_out.empty() && left_out[k]) continue;
     const LabelledPixels& click = clicks[k];
-    const std::span<const Vec3d> places = places_.of(k);
+    const std::span<const Vec3d> places = places_of(k);
     if (places.empty()) continue;
     const std::int16_t logit = logit_of_class_[static_cast<std::size_t>(click.class_index)];
     // A click weighs as one, and a stroke by the root of what it covers.
@@ -660,7 +652,7 @@ void LabelLoop::learn_from(Named named, std::int64_t steps) {
 }
 
 void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
-  (void)places_.find(clicks, surface(), INFINITY);
+  (void)find_places(clicks, INFINITY);
   learn_from(named_points(clicks), quickly ? options_.quick_steps : options_.learning.steps);
   clicks_.clear();
   std::copy_if(clicks.begin(), clicks.end(), std::back_inserter(clicks_),
@@ -698,7 +690,7 @@ std::vector<double> LabelLoop::areas_of(std::size_t clicks, const Named& named) 
 }
 
 std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> clicks, int fold) {
-  (void)places_.find(clicks, surface(), INFINITY);
+  (void)find_places(clicks, INFINITY);
   std::vector<std::int16_t> of_clicks;  // classes; given labels are never held back
   for (const LabelledPixels& click : clicks)
     if (click.weight >= 1) of_clicks.push_back(click.class_index);
@@ -713,9 +705,7 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
   // Clicks lie where there was doubt: each counts for the surface that it stands for.
   const std::vector<double> area = areas_of(clicks.size(), named);
   const PointLearner::Kept kept = learner_.keep();
-  const std::vector<bool> live = live_;
-  const std::vector<Seed> seeds = seeds_;
-  const bool learned = learned_;
+  const auto before = std::tuple(live_, seeds_, learned_);
   learn_from(named_points(clicks, left_out), options_.learning.steps);
   std::vector<Vec3d> places;
   for (std::size_t i = 0; i < named.logit.size(); ++i) {
@@ -732,9 +722,7 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
     held[i].probability.assign(row, row + classes());
   }
   learner_.put_back(kept);
-  live_ = live;
-  seeds_ = seeds;
-  learned_ = learned;
+  std::tie(live_, seeds_, learned_) = before;
   settle_seeds();
   return held;
 }

@@ -146,49 +146,6 @@ struct LabelledPixels {
 inline constexpr std::size_t kMostClickPixels = 9;
 inline bool is_stroke(const LabelledPixels& named) { return named.pixels.size() > kMostClickPixels; }
 
-/// Where on the surface the pixels lie that clicks and strokes name: found once, and kept while the labels change.
-class NamedPlaces {
- public:
-  /// `reach_px`: how far a click names what looks alike, in an image 320 pixels wide.
-  explicit NamedPlaces(std::int32_t reach_px) : reach_px_(reach_px) {}
-
-  /// What places are found by. Borrowed for a call.
-  struct Surface {
-    Pipeline<float>& pipeline;
-    const RayLimits& limits;
-    std::span<const PoolView> views;
-    const SurfacePool& pool;
-  };
-  /// Finds places that are not known yet of `clicks`, which take the place of those of the last call, for about
-  /// `budget_s` and at least of one click. True when those of all are known.
-  bool find(std::span<const LabelledPixels> clicks, const Surface& surface, double budget_s);
-  /// The surface has moved: what is known stays until refresh() has found it anew.
-  void renew() { ++age_; }
-  /// Finds old places of the last find()'s clicks anew, for about `budget_s`.
-  void refresh(std::span<const LabelledPixels> clicks, const Surface& surface, double budget_s);
-
-  /// Of click `i` of the last find(): its places, its first pixel's first where that meets a surface; empty where
-  /// nothing is met or nothing is known yet. A stroke has one in each cell of the pool.
-  std::span<const Vec3d> of(std::size_t i) const;
-  /// Clicks whose places have been looked for so far, each time counted.
-  std::int64_t found() const { return found_; }
-
- private:
-  struct Known {
-    std::vector<Vec3d> places;
-    std::uint64_t age = 0;   // when it was found; 0: not yet
-    std::uint64_t turn = 0;  // find() that wanted it last
-  };
-  std::vector<PixelPlace> pixels_of(const LabelledPixels& click, const Surface& surface) const;
-  void look_for(Known& known, const LabelledPixels& click, const Surface& surface);
-
-  std::int32_t reach_px_;
-  std::uint64_t age_ = 1, turn_ = 0;
-  std::int64_t found_ = 0;
-  std::unordered_map<std::uint64_t, Known> known_;  // by a checksum of view and pixels
-  std::vector<std::uint64_t> keys_;                 // of the clicks
-};
-
 struct ClassState {
   int index = 0;
   int id = 0;
@@ -339,11 +296,18 @@ class LabelLoop {
   /// when none is due any more. True when the pool has changed.
   bool update_surfaces(double budget_s);
 
-  /// Finds where on the surface `clicks` lie, those of which that is not known yet, for about this long; true when it
-  /// is known of all. learn() finds what is missing.
+  /// Finds where on the surface `clicks` lie, those of which that is not known yet, for about this long and at least of
+  /// one; true when it is known of all. They take the place of those of the last call. learn() finds what is missing.
   bool find_places(std::span<const LabelledPixels> clicks, double budget_s);
-  /// Places of the same clicks that were found on an earlier surface are found anew, for about this long.
+  /// The surface has moved: what is known stays until refresh_places() has found it anew.
+  void renew_places() { ++age_; }
+  /// Old places of the same clicks are found anew, for about this long.
   void refresh_places(std::span<const LabelledPixels> clicks, double budget_s);
+  /// Of click `i` of the last find_places(): its places, its first pixel's first where that meets a surface; empty
+  /// where nothing is met or nothing is known yet. A stroke has one in each cell of the pool.
+  std::span<const Vec3d> places_of(std::size_t i) const { return known_.at(keys_.at(i)).places; }
+  /// Clicks whose places have been looked for so far, each time counted.
+  std::int64_t places_found() const { return found_; }
 
   /// Learns the semantic part anew from these; with none there is nothing to state any more. A click names the pixels
   /// around it too that lie on the same surface and have its colour.
@@ -353,8 +317,6 @@ class LabelLoop {
   bool learned() const { return learned_; }
   /// Points of clicks and strokes that were learned last; what they spread to is not counted.
   std::size_t learned_points() const { return seeds_.size(); }
-  /// NamedPlaces::found.
-  std::int64_t places_found() const { return places_.found(); }
   /// Class indices that have labels, as logits.
   const std::vector<bool>& live() const { return live_; }
   /// The largest entropy that there can be, nats; of two classes where fewer have labels.
@@ -405,7 +367,15 @@ class LabelLoop {
   std::vector<double> areas_of(std::size_t clicks, const Named& named) const;
   // `left_out`: those clicks are not there; empty: all are.
   Named named_points(std::span<const LabelledPixels> clicks, const std::vector<bool>& left_out = {});
-  NamedPlaces::Surface surface() const { return {pipeline_, training_.session().limits, views_, pool_}; }
+  // Places of a click.
+  struct Known {
+    std::vector<Vec3d> places;
+    std::uint64_t age = 0;   // when they were found; 0: not yet
+    std::uint64_t turn = 0;  // find_places() that wanted them last
+  };
+  std::vector<PixelPlace> one_a_cell(const LabelledPixels& stroke) const;
+  std::vector<PixelPlace> pixels_of(const LabelledPixels& click) const;
+  void look_for(Known& known, const LabelledPixels& click);
   void predict_pool();
   void make_pool();
   bool due(const PoolView& view) const;
@@ -422,7 +392,10 @@ class LabelLoop {
   PointRows pool_rows_;
   std::int64_t pool_step_ = 0;
   PointLearner learner_;
-  NamedPlaces places_;
+  std::uint64_t age_ = 1, turn_ = 0;
+  std::int64_t found_ = 0;
+  std::unordered_map<std::uint64_t, Known> known_;  // by a checksum of view and pixels
+  std::vector<std::uint64_t> keys_;                 // of the clicks
   std::vector<std::int16_t> logit_of_class_;
   struct Seed {
     Vec3d position;

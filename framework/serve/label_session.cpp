@@ -9,11 +9,11 @@
 #include <filesystem>
 #include <functional>
 #include <iterator>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <numeric>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -825,18 +825,19 @@ void LabelRun::write_record(LabelState state) {
   record.frames = std::ssize(loop_.pooled());
   for (const ClassState& c : state.classes)
     record.classes.push_back({c.id, c.name, c.color, c.clicks, c.area_share, c.confidence});
-  std::map<int, std::vector<const Mark*>> marks;
-  for (const Mark& mark : state.marks) marks[mark.frame].push_back(&mark);
-  record.clicked_frames = std::ssize(marks);
+  std::set<int> clicked;
+  std::vector<std::vector<const Mark*>> marks(loop_.views().size());
+  for (const Mark& mark : state.marks) {
+    clicked.insert(mark.frame);
+    if (const int view = view_of(mark.frame); view >= 0) marks[static_cast<std::size_t>(view)].push_back(&mark);
+  }
+  record.clicked_frames = std::ssize(clicked);
+  const auto clicks_of = [&](int view) -> const auto& { return marks[static_cast<std::size_t>(view)]; };
   std::vector<int> views(loop_.pooled().size());
   std::iota(views.begin(), views.end(), 0);
-  const auto clicks_of = [&](int view) {
-    const auto found = marks.find(loop_.view(view).frame);
-    return found == marks.end() ? std::vector<const Mark*>() : found->second;
-  };
   std::stable_sort(views.begin(), views.end(), [&](int a, int b) { return clicks_of(a).size() > clicks_of(b).size(); });
   for (const int view : views) {
-    const std::vector<const Mark*> of_view = clicks_of(view);
+    const std::vector<const Mark*>& of_view = clicks_of(view);
     if (of_view.empty() || record.shown.size() == kShown) break;
     write_pictures(folder(), session(), loop_, view, of_view);
     const auto frame = static_cast<std::size_t>(loop_.view(view).frame);

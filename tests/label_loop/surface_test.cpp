@@ -583,62 +583,59 @@ LabelledPixels whole_view(int view, std::int16_t class_index = 0) {
   return stroke;
 }
 
-struct Places {
-  LoopedRoom room{60};
-  NamedPlaces places{4};
-  NamedPlaces::Surface surface{*room.training->session().pipeline, room.training->session().limits, room.loop->views(),
-                               room.loop->pool()};
-};
-
-TEST(NamedPlaces, AStrokeHasOnePlaceInEachCellThatItCovers) {
-  Places p;
+TEST(Places, AStrokeHasOnePlaceInEachCellThatItCovers) {
+  LoopedRoom room(60);
+  LabelLoop& loop = *room.loop;
   const std::vector<LabelledPixels> strokes{whole_view(2)};
-  ASSERT_TRUE(p.places.find(strokes, p.surface, 1e9));
-  std::set<std::int32_t> seen(p.surface.pool.point_of_pixel[2].begin(), p.surface.pool.point_of_pixel[2].end());
+  ASSERT_TRUE(loop.find_places(strokes, 1e9));
+  std::set<std::int32_t> seen(loop.pool().point_of_pixel[2].begin(), loop.pool().point_of_pixel[2].end());
   seen.erase(-1);
   const auto nothing = static_cast<std::size_t>(
-      std::count(p.surface.pool.point_of_pixel[2].begin(), p.surface.pool.point_of_pixel[2].end(), -1));
-  EXPECT_GT(p.places.of(0).size(), seen.size() / 2);
-  EXPECT_LE(p.places.of(0).size(), std::min<std::size_t>(256, seen.size() + nothing));
+      std::count(loop.pool().point_of_pixel[2].begin(), loop.pool().point_of_pixel[2].end(), -1));
+  EXPECT_GT(loop.places_of(0).size(), seen.size() / 2);
+  EXPECT_LE(loop.places_of(0).size(), std::min<std::size_t>(256, seen.size() + nothing));
 }
 
-TEST(NamedPlaces, AClickHasItsOwnPlaceFirst) {
-  Places p;
-  const LabelledPixels click = p.room.click(1, {20, 18});
+TEST(Places, AClickHasItsOwnPlaceFirst) {
+  LoopedRoom room(60);
+  LabelLoop& loop = *room.loop;
+  const LabelledPixels click = room.click(1, {20, 18});
   const std::vector<LabelledPixels> clicks{click};
-  ASSERT_TRUE(p.places.find(clicks, p.surface, 1e9));
-  const RayCamera& camera = p.surface.views[1].camera;
-  const double distance = surface_distances(p.surface.pipeline, camera, p.surface.limits, click.pixels).front();
-  EXPECT_LT(length(p.places.of(0).front() - point_at(camera, p.surface.limits, {20, 18}, distance)), 1e-6);
-  EXPECT_GT(p.places.of(0).size(), 1u) << "and what looks alike around it";
+  ASSERT_TRUE(loop.find_places(clicks, 1e9));
+  const RayCamera& camera = loop.view(1).camera;
+  const RayLimits& limits = room.training->session().limits;
+  const double distance = surface_distances(*room.training->session().pipeline, camera, limits, click.pixels).front();
+  EXPECT_LT(length(loop.places_of(0).front() - point_at(camera, limits, {20, 18}, distance)), 1e-6);
+  EXPECT_GT(loop.places_of(0).size(), 1u) << "and what looks alike around it";
 }
 
-TEST(NamedPlaces, AreFoundOnceAndAFewAtATime) {
-  Places p;
-  std::vector<LabelledPixels> clicks = p.room.clicks(4);
-  EXPECT_FALSE(p.places.find(clicks, p.surface, 0)) << "one at least, and no more without time";
-  EXPECT_FALSE(p.places.of(0).empty());
-  EXPECT_TRUE(p.places.of(1).empty());
+TEST(Places, AreFoundOnceAndAFewAtATime) {
+  LoopedRoom room(60);
+  LabelLoop& loop = *room.loop;
+  std::vector<LabelledPixels> clicks = room.clicks(4);
+  EXPECT_FALSE(loop.find_places(clicks, 0)) << "one at least, and no more without time";
+  EXPECT_FALSE(loop.places_of(0).empty());
+  EXPECT_TRUE(loop.places_of(1).empty());
   int turns = 1;
-  while (!p.places.find(clicks, p.surface, 0)) ++turns;
+  while (!loop.find_places(clicks, 0)) ++turns;
   EXPECT_EQ(turns, 3);
-  const std::int64_t found = p.places.found();
+  const std::int64_t found = loop.places_found();
   EXPECT_EQ(found, 4);
-  clicks.push_back(p.room.click(3, {30, 20}));
+  clicks.push_back(room.click(3, {30, 20}));
   clicks.erase(clicks.begin());
-  EXPECT_TRUE(p.places.find(clicks, p.surface, 0));
-  EXPECT_EQ(p.places.found(), found + 1) << "those of earlier clicks are kept";
-  p.places.renew();
-  EXPECT_TRUE(p.places.find(clicks, p.surface, 0));
-  EXPECT_EQ(p.places.found(), found + 1) << "old ones serve meanwhile";
-  p.places.refresh(clicks, p.surface, 1e9);
-  EXPECT_EQ(p.places.found(), found + 5);
-  p.places.refresh(clicks, p.surface, 1e9);
-  EXPECT_EQ(p.places.found(), found + 5);
+  EXPECT_TRUE(loop.find_places(clicks, 0));
+  EXPECT_EQ(loop.places_found(), found + 1) << "those of earlier clicks are kept";
+  loop.renew_places();
+  EXPECT_TRUE(loop.find_places(clicks, 0));
+  EXPECT_EQ(loop.places_found(), found + 1) << "old ones serve meanwhile";
+  loop.refresh_places(clicks, 1e9);
+  EXPECT_EQ(loop.places_found(), found + 5);
+  loop.refresh_places(clicks, 1e9);
+  EXPECT_EQ(loop.places_found(), found + 5);
 }
 
 // What is learned from does not grow with the strokes over the same surface, and each weighs as it did.
-TEST(NamedPlaces, ManyStrokesOverTheSameSurfaceCountItOnce) {
+TEST(Places, ManyStrokesOverTheSameSurfaceCountItOnce) {
   LoopedRoom room;
   std::vector<LabelledPixels> strokes{whole_view(2)};
   room.loop->learn(strokes);

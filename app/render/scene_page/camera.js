@@ -62,6 +62,8 @@ class OrbitCamera {
     const projection = perspective(kAngle, aspect, kNear * this.diagonal, kFar * this.diagonal);
     return {clip: product(projection, eye_from_world), eye: eye_from_world, aspect};
   }
+  /** Degrees of the picture's width. */
+  fov_deg() { return 360 / Math.PI * Math.atan(Math.tan(kAngle / 2) * canvas.width / canvas.height); }
   /** Nearest and farthest depth of what is worth colours. */
   depths() {
     const half = 0.55 * this.diagonal;

@@ -59,8 +59,8 @@ class Live {
     const page = this.page, longest = Math.max(canvas.width, canvas.height);
     if (page.hides() || document.hidden || page.is_before_a_wall()) return;
     const pending = this.pending = new AbortController();
-    const rows = page.camera.world_from_camera(), half = Math.tan(kAngle / 2) * canvas.width / canvas.height;
-    const camera = {position: rows.map((row) => row[3]), rotation: rows.flatMap((row) => row.slice(0, 3)), fov_deg: 360 / Math.PI * Math.atan(half)};
+    const rows = page.camera.world_from_camera();
+    const camera = {position: rows.map((row) => row[3]), rotation: rows.flatMap((row) => row.slice(0, 3)), fov_deg: page.camera.fov_deg()};
     const [near, far] = page.camera.depths();
     try {
       for (const size of kSizes.filter((s) => s < longest).concat(Math.min(longest, kSizes.at(-1)))) {
@@ -129,10 +129,9 @@ class Live {
   // ---- a video, and newer steps
 
   async film() {
-    const hint = byId("path-hint");
+    const hint = byId("path-hint"), width = Math.min(1280, canvas.width), height = width * canvas.height / canvas.width;
     try {
-      await this.ask("film", {path: this.page.path_rows(), width: Math.min(1280, canvas.width) & ~1, height: Math.min(1280, canvas.width) * canvas.height / canvas.width & ~1,
-        fov_deg: 360 / Math.PI * Math.atan(Math.tan(kAngle / 2) * canvas.width / canvas.height)});
+      await this.ask("film", {path: this.page.path_rows(), width: width & ~1, height: height & ~1, fov_deg: this.page.camera.fov_deg()});
       hint.textContent = "rendering";
       this.look();
     } catch (error) {

@@ -130,44 +130,19 @@ class Page {
   }
 
   listen_hand() {
-    const held = new Map();
-    let travelled = 0;
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-      if (held.size === 1) travelled = 0;
+    let last = [0, 0];
+    followPointer(canvas, {
+      down: (x, y) => { last = [x, y]; },
+      draw: (x, y, event) => {
+        this.camera[event.shiftKey ? "move" : "turn"](x - last[0], y - last[1]);
+        last = [x, y];
+        this.change();
+      },
+      up: (is_click, x, y, event) => { if (is_click) this.point(event.clientX, event.clientY, event.shiftKey); },
+      pan: (dx, dy) => { this.camera.move(dx, dy); this.change(); },
+      zoom: (factor) => { this.camera.closer(1 / factor); this.change(); },
+      scrolls: () => kInside && document.activeElement !== canvas,  // the page around it does
     });
-    canvas.addEventListener("pointermove", (event) => {
-      const before = held.get(event.pointerId);
-      if (before === undefined) return;
-      const now = [event.clientX, event.clientY], dx = now[0] - before[0], dy = now[1] - before[1];
-      travelled += Math.hypot(dx, dy);
-      held.set(event.pointerId, now);
-      if (held.size === 2) {
-        const other = [...held].find(([id]) => id !== event.pointerId)[1];
-        this.camera.closer(Math.hypot(before[0] - other[0], before[1] - other[1]) / Math.max(1, Math.hypot(now[0] - other[0], now[1] - other[1])));
-        this.camera.move(dx / 2, dy / 2);
-      } else if (event.buttons & 2 || event.shiftKey) {
-        this.camera.move(dx, dy);
-      } else {
-        this.camera.turn(dx, dy);
-      }
-      this.change();
-    });
-    const release = (event) => {
-      const was_click = held.size === 1 && travelled < 5 && event.type === "pointerup" && event.button === 0;
-      held.delete(event.pointerId);
-      if (was_click) this.point(event.clientX, event.clientY, event.shiftKey);
-    };
-    canvas.addEventListener("pointerup", release);
-    canvas.addEventListener("pointercancel", release);
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("wheel", (event) => {
-      if (kInside && document.activeElement !== canvas) return;  // the page around it scrolls
-      event.preventDefault();
-      this.camera.closer(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.002));
-      this.change();
-    }, {passive: false});
     canvas.addEventListener("webglcontextlost", () => say_trouble("The graphics device was lost. Load the page again."));
   }
 
