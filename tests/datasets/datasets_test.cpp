@@ -343,21 +343,6 @@ TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
   EXPECT_EQ(json.at("preset_why"), "depth images show where the scene ends");
 }
 
-TEST(Inspect, ReportTellsFramesClassesAndProblems) {
-  const std::string folder = fresh_folder("room");
-  write_replica(folder, 6);
-  cut(folder + "/rgb/rgb_3.png", 20);
-  NamedDataset replica = replica_of(folder);
-  Diagnostics d;
-  const LoadedScene scene = load_scene(replica, {}, d);
-  const std::string report = inspect_report(scene, d);
-  EXPECT_HAS(
-      report, "frames      6 (3 train, 3 test), 5 read, 6 with depth\n", "size        40 x 30 (6 frames)\n",
-      "bounds      (", " from depth of 3 training frames\n", "near, far   0.1, 10 from the dataset\n",
-      "labelled frames: 3 train, 2 test", "north", "3 of 3",
-      "error       frame 'rgb_3' (" + folder + "/rgb/rgb_3.png): '" + folder + "/rgb/rgb_3.png': PNG is truncated");
-}
-
 TEST(Inspect, FrustaFileHasTheStatedSize) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 4);

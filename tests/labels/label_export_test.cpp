@@ -259,7 +259,7 @@ TEST(ClassesVerb, ConvertsTables) {
   const std::string folder = fresh_folder("t");
   EXPECT_EQ(semfield_run("classes nyu40", folder).out, published_classes("nyu40").to_yaml());
   ASSERT_EQ(semfield_run("classes scannet20 --format cvat --out labelmap.txt", folder).code, 0);
-  EXPECT_EQ(load_cvat_labelmap(folder + "/labelmap.txt").valid_count(), 20);
+  EXPECT_EQ(import_classes(folder + "/labelmap.txt").valid_count(), 20);
   EXPECT_EQ(semfield_run("classes labelmap.txt --format csv", folder).out.find("class_id,class\n0,void\n1,wall\n"), 0u);
   EXPECT_NE(semfield_run("classes nyu13 --colors semfield", folder).out, published_classes("nyu13").to_yaml());
   write_file_atomic(folder + "/l.tsv", std::string_view("id\traw_category\tnyu40id\n2\toffice chair\t5\n"));

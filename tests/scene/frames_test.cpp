@@ -1,4 +1,5 @@
-// Loading: sizes, bounds, near and far, histograms, every problem in one pass, any number of threads.
+// Loading: sizes, bounds, near and far, histograms, every problem in one pass, any number of threads. What is given and
+// contradicts the scene: tests/bad_files/scenes.cases.
 
 #include <algorithm>
 #include <sstream>
@@ -215,17 +216,6 @@ TEST(LoadScene, ThinDepthIsJoinedByTheCones) {
   EXPECT_HAS(load_scene(room, {}, d).bounds_from, "and the view cones");
 }
 
-TEST(LoadScene, OptionsWin) {
-  RoomDataset room;
-  SceneLoadOptions o{.near_m = 0.25, .far_m = 4, .bounds = {-1, -2, -3, 1, 2, 3}};
-  Diagnostics d;
-  const LoadedScene s = load_scene(room, o, d);
-  EXPECT_EQ(s.near_m, 0.25);
-  EXPECT_EQ(s.far_m, 4.0);
-  EXPECT_EQ(s.bounds.hi, (Vec3d{1, 2, 3}));
-  EXPECT_EQ(s.bounds_from, "the configuration");
-}
-
 TEST(LoadScene, ResizesColourByAreaAndTheRestByNearest) {
   RoomDataset room;
   SceneLoadOptions o{.width_px = 20};
@@ -247,11 +237,6 @@ TEST(LoadScene, ResizesColourByAreaAndTheRestByNearest) {
       EXPECT_EQ(s.frames[0].rgb[to * 3], (sum + 2) / 4);
     }
   }
-  o.width_px = 80;
-  Diagnostics grow;
-  (void)load_scene(room, o, grow);
-  EXPECT_EQ(grow.error_count(), 6);
-  EXPECT_HAS(grow.all()[0].text(), "40", "30");
 }
 
 TEST(LoadScene, HistogramCountsEveryPixel) {
@@ -311,14 +296,6 @@ TEST(LoadScene, SameForAnyNumberOfThreads) {
   for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(a.frames[i].rgb, b.frames[i].rgb);
 }
 
-TEST(LoadScene, ContradictingOptionsAreRefused) {
-  Diagnostics d;
-  SceneLoadOptions o{.width_px = 10, .downscale = 2, .near_m = 3, .far_m = 2, .bounds = {0, 0, 0, 1, 0, 1}};
-  validate(o, d);
-  ASSERT_EQ(d.error_count(), 3);
-  EXPECT_HAS(d.all()[0].text(), "each other");
-}
-
 // The text of `severity` about `key`, "" when there is none.
 std::string said(const Diagnostics& d, Severity severity, const std::string& key) {
   for (const Diagnostic& x : d.all()) {
@@ -352,32 +329,6 @@ TEST(LoadScene, BoundsBesideTheViewAreRefusedWithTheBoxThatTheDataSuggest) {
   Diagnostics unchecked;
   (void)load_scene(room, o, unchecked);
   EXPECT_FALSE(unchecked.has_errors());
-}
-
-TEST(LoadScene, BoundsThatFewRaysMeetAreWarnedAbout) {
-  RoomDataset room;
-  SceneLoadOptions o{.bounds = {-0.2, -0.2, 2.3, 0.2, 0.2, 2.5}};
-  Diagnostics d;
-  (void)load_scene(room, o, d);
-  EXPECT_FALSE(d.has_errors());
-  EXPECT_EQ(said(d, Severity::warning, "scene.load.bounds").find("scene.load.bounds: only "), 0u);
-}
-
-TEST(LoadScene, NearAndFarBesideDepthOrBoundsAreRefusedWithOnesThatWork) {
-  for (const bool depth : {true, false}) {
-    RoomDataset room{.depth = depth};
-    SceneLoadOptions o{.near_m = 200, .far_m = 300, .bounds = {-2, -1.5, -2.5, 2, 1.5, 2.5}};
-    Diagnostics d;
-    (void)load_scene(room, o, d);
-    const std::string text = said(d, Severity::error, "scene.load.near_m");
-    EXPECT_HAS(text, depth ? "none of the depth of the training frames is between near 200 and far 300"
-                           : "can be inside the bounds between near 200 and far 300");
-    o.near_m = std::stod(text.substr(text.find("near_m=") + 7));
-    o.far_m = std::stod(text.substr(text.find("far_m=") + 6));
-    Diagnostics again;
-    (void)load_scene(room, o, again);
-    EXPECT_FALSE(again.has_errors());
-  }
 }
 
 TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
