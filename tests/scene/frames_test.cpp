@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <sstream>
-#include <tuple>
 
 #include "loading/frame_source.h"
 #include "scene/scene.h"
@@ -359,7 +358,7 @@ TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
   EXPECT_TRUE(ended);
 }
 
-// Poses and cameras before they are believed, and the bounds that a scene gets.
+// Poses before they are believed, and the bounds that a scene gets. Cameras: tests/bad_files/scenes.cases.
 
 TEST(SceneChecks, GoodPosePassesUnchanged) {
   Diagnostics d;
@@ -396,54 +395,6 @@ TEST(SceneChecks, OpenGlAxesTurn) {
   EXPECT_EQ(p.axis(1), (Vec3d{0, -1, 0}));
   EXPECT_EQ(p.axis(2), (Vec3d{0, 0, -1}));
   EXPECT_EQ(p.t, (Vec3d{5, 6, 7}));
-}
-
-// A lens that puts the whole image on one spot, or most of it nowhere.
-TEST(SceneChecks, LensesThatNoCameraHasAreNamed) {
-  const auto said = [](LensKind lens, double Camera::*coefficient, double value) {
-    Camera c = testing_room::room_camera();
-    c.lens = lens;
-    c.*coefficient = value;
-    Diagnostics d;
-    const bool good = check_camera(c, "frame 'a'", d);
-    EXPECT_EQ(good, !d.has_errors());
-    return d.all().empty() ? std::string("nothing") : d.all().back().shown();
-  };
-  using C = Camera;
-  for (const auto& [lens, coefficient, value] :
-       std::vector<std::tuple<LensKind, double C::*, double>>{{LensKind::perspective, &C::k1, 1e9},
-                                                              {LensKind::perspective, &C::k4, 1e12},
-                                                              {LensKind::perspective, &C::k1, 1e300},
-                                                              {LensKind::perspective, &C::k1, -1e9},
-                                                              {LensKind::perspective, &C::p1, 1e9},
-                                                              {LensKind::perspective, &C::p2, -1e300},
-                                                              {LensKind::fisheye, &C::k1, 1e9},
-                                                              {LensKind::fisheye, &C::k1, 1e300},
-                                                              {LensKind::fisheye, &C::k3, -1e300},
-                                                              {LensKind::fisheye, &C::k1, -1e9}})
-    EXPECT_HAS(said(lens, coefficient, value), "[scene.camera.distortion]") << value;
-  EXPECT_HAS(said(LensKind::perspective, &C::k1, 20), "[scene.camera.bent]", "times their angle");
-  for (const double usual : {-0.05, 0.15, 0.4}) {
-    EXPECT_EQ(said(LensKind::perspective, &C::k1, usual), "nothing") << usual;
-    EXPECT_EQ(said(LensKind::fisheye, &C::k1, usual), "nothing") << usual;
-  }
-  EXPECT_EQ(said(LensKind::fisheye, &C::k1, -0.5), "nothing") << "a circle in the middle of the image";
-}
-
-TEST(SceneChecks, FramesOfOnePoseAreNamed) {
-  const auto said = [](const std::vector<int>& poses) {
-    SceneInfo info{.name = "room"};
-    for (const int i : poses)
-      info.frames.push_back(
-          {.name = "f" + std::to_string(info.frames.size()), .world_from_camera = testing_room::room_pose(i)});
-    Diagnostics d;
-    check_poses_differ(info, d);
-    return d.all().empty() ? std::string("nothing") : d.all()[0].shown();
-  };
-  EXPECT_EQ(said({0, 1, 2, 3}), "nothing");
-  EXPECT_EQ(said({0}), "nothing");
-  EXPECT_HAS(said(std::vector<int>(12, 3)), "room", "all 12 frames have one pose", "[scene.pose.repeated]");
-  EXPECT_HAS(said({0, 1, 2, 2, 2, 0}), "5 of 6 frames", "3 that of 'f2'", "[scene.pose.repeated]");
 }
 
 // Bounds of scenes without depth: around an object before one colour, inside the file's own limit, and the cameras'

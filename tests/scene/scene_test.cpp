@@ -238,7 +238,7 @@ TEST(CameraSet, RowsOfNumbersAreNone) {
   EXPECT_TRUE(is_camera_set(path));
 }
 
-// Smooth camera paths, and pose files good and bad.
+// Smooth camera paths, and axes of pose files; their layouts: tests/bad_files/runs.cases.
 
 TEST(CameraPath, LookAlongIsLevelAndLooksThere) {
   const Pose p = look_along({1, 2, 3}, {0, 2, 0}, {0, 0, 1});
@@ -250,29 +250,10 @@ TEST(CameraPath, LookAlongIsLevelAndLooksThere) {
   EXPECT_NEAR(dot(down.axis(0), down.axis(2)), 0, 1e-12);
 }
 
-constexpr double kC = 0.8, kS = 0.6;
-
 std::vector<Pose> read_text(const std::string& text, CameraAxes axes = CameraAxes::right_down_forward) {
   const std::string path = fresh_folder("poses") + "/poses.txt";
   plain_write(path, text);
   return read_camera_file(path, axes);
-}
-
-TEST(CameraFile, FourLayoutsGiveTheSamePoses) {
-  const std::string a0 = "0.8 -0.6 0 1", a1 = "0.6 0.8 0 2", a2 = "0 0 1 3", last = "0 0 0 1";
-  const std::string b0 = "1 0 0 -4", b1 = "0 1 0 5e-1", b2 = "0 0 1 +6";
-  for (const std::string& text :
-       {a0 + " " + a1 + " " + a2 + " " + last + "\n" + b0 + " " + b1 + " " + b2 + " " + last + "\n",
-        a0 + " " + a1 + " " + a2 + "\r\n\r\n# second\r\n" + b0 + "\t" + b1 + " " + b2,
-        a0 + "\n" + a1 + "\n" + a2 + "\n" + last + "\n\n" + b0 + "\n" + b1 + "\n" + b2 + "\n" + last + "\n",
-        "# 3x4\n" + a0 + "\n" + a1 + "\n" + a2 + "\n\n" + b0 + "\n" + b1 + "\n" + b2 + "\n"}) {
-    const std::vector<Pose> poses = read_text(text);
-    ASSERT_EQ(poses.size(), 2u) << text;
-    EXPECT_NEAR(length(poses[0].axis(0) - Vec3d{kC, kS, 0}), 0, 1e-12);
-    EXPECT_NEAR(length(poses[0].axis(1) - Vec3d{-kS, kC, 0}), 0, 1e-12);
-    EXPECT_EQ(poses[0].t, (Vec3d{1, 2, 3}));
-    EXPECT_EQ(poses[1].t, (Vec3d{-4, 0.5, 6}));
-  }
 }
 
 TEST(CameraFile, AxesTurnIntoRightDownForward) {
