@@ -9,6 +9,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+import ply
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 NODE_MODULES = Path(os.environ.get("SEMFIELD_NODE_MODULES", REPOSITORY / "build" / "hand_over" / "node_modules"))
 SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's packages are for this one
@@ -37,28 +39,6 @@ def columns_of(rows, names):
     return {name: [float(row[i]) for row in rows] for i, name in enumerate(names)}
 
 
-def ply_columns(path):
-    """Vertices of a PLY that another program wrote, ASCII or little-endian."""
-    import struct
-
-    kinds = {"double": "d", "float64": "d", "float": "f", "float32": "f", "uchar": "B", "uint8": "B", "int": "i", "int32": "i", "uint": "I", "uint32": "I",
-             "char": "b", "short": "h", "ushort": "H"}
-    head, _, body = Path(path).read_bytes().partition(b"end_header\n")
-    names, letters, count, inside = [], "", 0, False
-    for line in head.decode("latin-1").split("\n"):
-        words = line.split()
-        if words[:1] == ["element"]:
-            inside = words[1] == "vertex"
-            count = int(words[2]) if inside else count
-        elif words[:1] == ["property"] and inside:
-            names.append(words[2])
-            letters += kinds[words[1]]
-    if b"format ascii" in head:
-        return columns_of([line.split() for line in body.decode().split("\n")[:count]], names)
-    size = struct.calcsize("<" + letters)
-    return columns_of(list(struct.iter_unpack("<" + letters, body[: size * count])), names)
-
-
 def cloudcompare(path):
     """Columns X, Y, Z, R, G, B and the scalar fields, as CloudCompare names them when it saves what it loaded."""
     program = need("CloudCompare", "cloudcompare")
@@ -80,7 +60,7 @@ def meshlab(path):
         if shutil.which("xvfb-run"):  # it draws nothing, and asks for a display
             words = ["xvfb-run", "-a", *words]
         run(words, cwd=folder)
-        return ply_columns(out)
+        return ply.read(out)["vertex"]
 
 
 def open3d(path):

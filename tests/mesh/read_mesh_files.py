@@ -1,7 +1,11 @@
-"""Reads mesh files with nothing but the standard library and compares them with expected.json; any difference ends it."""
+"""Reads mesh files with nothing but the standard library, and compares them with expected.json; any difference ends it."""
 import json
 import struct
 import sys
+from pathlib import Path
+
+sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "handover"))
+import ply  # noqa: E402
 
 folder = sys.argv[1]
 with open(folder + "/expected.json") as file:
@@ -30,37 +34,8 @@ def turned(quaternion, v):
     return [a + w * b + c for a, b, c in zip(v, t, cross(u, t))]
 
 
-def read_ply(path):
-    kinds = {"double": "d", "float": "f", "uchar": "B", "int": "i", "uint": "I"}
-    with open(path, "rb") as file:
-        data = file.read()
-    head, mark, body = data.partition(b"end_header\n")
-    lines = head.decode("ascii").split("\n")
-    check(lines[0] == "ply" and lines[1] == "format binary_little_endian 1.0" and mark, path + ": header")
-    elements = []
-    for line in lines[2:]:
-        words = line.split()
-        if words[:1] == ["element"]:
-            elements.append((words[1], int(words[2]), []))
-        elif words[:1] == ["property"]:
-            elements[-1][2].append(words[1:])
-    rows, at = {}, 0
-    for name, count, properties in elements:
-        rows[name] = []
-        for _ in range(count):
-            row = {}
-            for words in properties:
-                if words[0] == "list":
-                    size = struct.unpack_from("<" + kinds[words[1]], body, at)[0]
-                    at += struct.calcsize(kinds[words[1]])
-                    row[words[3]] = list(struct.unpack_from("<%d%s" % (size, kinds[words[2]]), body, at))
-                    at += size * struct.calcsize(kinds[words[2]])
-                else:
-                    row[words[1]] = struct.unpack_from("<" + kinds[words[0]], body, at)[0]
-                    at += struct.calcsize(kinds[words[0]])
-            rows[name].append(row)
-    check(at == len(body), path + ": %d bytes after the last element" % (len(body) - at))
-    return rows
+def rows_of(columns):
+    return [dict(zip(columns, row)) for row in zip(*columns.values())]
 
 
 def check_vertices(rows, normals):
@@ -83,12 +58,12 @@ def check_vertices(rows, normals):
 
 
 def check_ply():
-    rows = read_ply(folder + "/mesh.ply")
-    check_vertices(rows["vertex"], True)
-    check([face["vertex_indices"] for face in rows["face"]] == want["triangles"], "faces")
-    points = read_ply(folder + "/points.ply")
+    mesh = ply.read(folder + "/mesh.ply")
+    check_vertices(rows_of(mesh["vertex"]), True)
+    check(mesh["face"]["vertex_indices"] == want["triangles"], "faces")
+    points = ply.read(folder + "/points.ply")
     check(list(points) == ["vertex"], "a point cloud has vertices only")
-    check_vertices(points["vertex"], False)
+    check_vertices(rows_of(points["vertex"]), False)
 
 
 def check_obj():

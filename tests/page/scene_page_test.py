@@ -16,6 +16,9 @@ import zlib
 import browser
 import live_view
 
+sys.path.insert(1, str(pathlib.Path(__file__).resolve().parents[1] / "handover"))
+import ply  # noqa: E402
+
 PROGRAM, CONFIG = sys.argv[1:3]
 SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}
 NO_CLASS = 65535
@@ -59,23 +62,14 @@ def read_page(text):
 
 def read_ply(path):
     """Positions, colours, class ids and entropy of vertices; corners of faces."""
-    head, _, body = pathlib.Path(path).read_bytes().partition(b"end_header\n")
-    lines = [line.split() for line in head.decode().splitlines()]
-    counts = [int(words[2]) for words in lines if words[0] == "element"]
-    letters = {"double": "d", "float": "f", "uchar": "B", "int": "i"}
-    columns = [(words[2], letters[words[1]]) for words in lines if words[0] == "property" and words[1] != "list"]
-    names = [name for name, _ in columns]
-    vertex = struct.Struct("<" + "".join(letter for _, letter in columns))
-    rows = [vertex.unpack_from(body, i * vertex.size) for i in range(counts[0])]
-    label, entropy, red = names.index("label"), names.index("entropy"), names.index("red")
-    face = struct.Struct("<B3I" if b"list uchar uint" in head else "<B3i")
-    corners = [face.unpack_from(body, counts[0] * vertex.size + i * face.size)[1:] for i in range(counts[1])]
-    return [row[:3] for row in rows], [row[red:red + 3] for row in rows], [row[label] for row in rows], [row[entropy] for row in rows], corners
+    vertex, face = (ply.read(path)[name] for name in ("vertex", "face"))
+    triples = lambda *names: list(zip(*(vertex[name] for name in names)))
+    return triples("x", "y", "z"), triples("red", "green", "blue"), vertex["label"], vertex["entropy"], [tuple(corners) for corners in face["vertex_indices"]]
 
 
-def compare(page, ply):
+def compare(page, mesh):
     facts, corners, places, labels, colors, shares, objects = page
-    positions, ply_colors, ids, entropy, faces = ply
+    positions, ply_colors, ids, entropy, faces = mesh
     assert (facts["vertices"], facts["triangles"], facts["unit"]) == (len(positions), len(faces), "m"), facts
     allowed = max(high - low for low, high in zip(facts["low"], facts["high"])) / 65535
     for a, b in zip(places, positions):
