@@ -9,7 +9,6 @@
 #include <iterator>
 #include <limits>
 
-#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "core/text.h"
@@ -30,16 +29,21 @@ namespace {
 // What the name of a mask of moving things begins with, beside its image [instant-ngp].
 constexpr const char* kMovingMask = "dynamic_mask_";
 
-// Channels that a frame can do without.
-constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {
-    {"depth image", &FrameFiles::depth},
-    {"label image", &FrameFiles::label},
-    {"instance image", &FrameFiles::instance},
-    {"mask", &FrameFiles::mask},
-    {"mask of moving things", &FrameFiles::moving}};
+// Files of a frame, which can do without all but the first; `shown`: drawn over the picture as viewers show it.
+struct Kind {
+  const char* what;
+  std::string FrameFiles::*path;
+  bool shown = false;
+};
+constexpr std::array<Kind, 6> kKinds{{{kColorImage, &FrameFiles::color},
+                                      {"depth image", &FrameFiles::depth},
+                                      {"label image", &FrameFiles::label, true},
+                                      {"instance image", &FrameFiles::instance, true},
+                                      {"mask", &FrameFiles::mask},
+                                      {"mask of moving things", &FrameFiles::moving}}};
 
 bool is_optional(const std::string& what) {
-  return std::any_of(std::begin(kOptional), std::end(kOptional), [&](const auto& one) { return what == one.first; });
+  return std::any_of(kKinds.begin() + 1, kKinds.end(), [&](const Kind& one) { return what == one.what; });
 }
 
 // "a, b, c, ..."
@@ -84,20 +88,18 @@ Camera shown_camera(const FrameInfo& frame) {
 }
 
 template <class T>
-void check_size(const Image<T>& image, const FrameInfo& frame, const std::string& path) {
-  if (image.width_px == frame.camera.width_px && image.height_px == frame.camera.height_px) return;
+void check_size(const Image<T>& image, const Camera& camera, const std::string& path) {
+  if (image.width_px == camera.width_px && image.height_px == camera.height_px) return;
   throw Error(ErrorKind::data, "scene.image.size",
               "'" + path + "' is " + size_text(image.width_px, image.height_px) + " pixels, the camera " +
-                  size_text(frame.camera.width_px, frame.camera.height_px),
+                  size_text(camera.width_px, camera.height_px),
               "colour, depth and labels of a frame need the size that its camera states");
 }
 
 // Ids of the pixels as the colour image stores them.
 Image<std::uint16_t> read_shown_ids(const FrameInfo& frame, const std::string& path) {
   Image<std::uint16_t> image = read_ids(path);
-  FrameInfo shown = frame;
-  shown.camera = shown_camera(frame);
-  check_size(image, shown, path);
+  check_size(image, shown_camera(frame), path);
   const Camera& camera = frame.camera;
   return {camera.width_px, camera.height_px, 1,
           as_stored(std::move(image.pixels), camera.width_px, camera.height_px, frame.orientation)};
@@ -223,8 +225,9 @@ std::map<std::int64_t, std::string> numbered_photographs(const std::string& fold
 bool FrameFileCheck::present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics) {
   tell_load_progress("checking", ++checked_, frames_);
   if (!present(frame, kColorImage, files.color, diagnostics)) return false;
-  for (const auto& [what, path] : kOptional) {
-    if (!(files.*path).empty() && !present(frame, what, files.*path, diagnostics)) (files.*path).clear();
+  for (const Kind& kind : kKinds) {
+    std::string& path = files.*kind.path;
+    if (is_optional(kind.what) && !path.empty() && !present(frame, kind.what, path, diagnostics)) path.clear();
   }
   return true;
 }
@@ -247,47 +250,40 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
 
 ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics,
                                         const DepthCamera* depth_camera) {
-  const ImageSize color = check_header(frame, kColorImage, files.color, frame.camera, diagnostics);
-  if (!files.color.empty()) frame.orientation = color.orientation;
-  for (const auto& [what, path] : kOptional) {
-    const bool apart = depth_camera != nullptr && path == &FrameFiles::depth;
-    const bool is_drawn = path == &FrameFiles::label || path == &FrameFiles::instance;
-    check_header(frame, what, files.*path,
-                 apart      ? depth_camera->camera
-                 : is_drawn ? shown_camera(frame)
-                            : frame.camera,
-                 diagnostics);
+  ImageSize color;
+  for (const Kind& kind : kKinds) {
+    const std::string& path = files.*kind.path;
+    if (path.empty()) continue;
+    const bool is_depth = kind.path == &FrameFiles::depth, is_label = kind.path == &FrameFiles::label;
+    const Camera camera = is_depth && depth_camera != nullptr ? depth_camera->camera
+                          : kind.shown                        ? shown_camera(frame)
+                                                              : frame.camera;
+    try {
+      const ImageSize size = is_depth ? depth_size(path) : image_size(path);
+      if (kind.what == kColorImage) {
+        color = size;
+        frame.orientation = size.orientation;
+        if (size.orientation != 1) turned_.push_back(frame.name);
+      }
+      if (size.width_px != camera.width_px || size.height_px != camera.height_px) {
+        OtherSize wrong = other_size(kind.what, path, size, camera);
+        if (kind.shown && turned_by_quarter(frame.orientation)) {
+          wrong.message += " turned as the image's EXIF orientation says (" + std::to_string(frame.orientation) + ")";
+          wrong.remedy = kShownRemedy;
+        } else if (kind.path == &FrameFiles::mask && turned_by_quarter(frame.orientation)) {
+          wrong.remedy = "masks are of the pixels as stored, as COLMAP's are: turn them back";
+        }
+        if (is_label)
+          wrong.remedy += "; labels of another one are scaled with " + label_settings(frame, path, labels_key_, "");
+        diagnostics.error(wrong.code, frame_place(frame), wrong.message, wrong.remedy);
+      } else if (is_label) {
+        report_color_labels(frame, path, size.channels, labels_key_, diagnostics);
+      }
+    } catch (const Error& e) {
+      diagnostics.error(e.code(), frame_place(frame), std::string(kind.what) + " " + e.message(), e.remedy());
+    }
   }
   return color;
-}
-
-ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what, const std::string& path,
-                                       const Camera& camera, Diagnostics& diagnostics) {
-  ImageSize size;
-  if (path.empty()) return size;
-  const bool is_label = what == kOptional[1].first, is_drawn = is_label || what == kOptional[2].first;
-  try {
-    size = what == kOptional[0].first ? depth_size(path) : image_size(path);
-    if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
-    if (size.width_px != camera.width_px || size.height_px != camera.height_px) {
-      OtherSize wrong = other_size(what, path, size, camera);
-      if (is_drawn && turned_by_quarter(frame.orientation)) {
-        wrong.message += " turned as the image's EXIF orientation says (" + std::to_string(frame.orientation) + ")";
-        wrong.remedy = kShownRemedy;
-      } else if (what == kOptional[3].first && turned_by_quarter(frame.orientation)) {
-        wrong.remedy = "masks are of the pixels as stored, as COLMAP's are: turn them back";
-      }
-      diagnostics.error(wrong.code, frame_place(frame), wrong.message,
-                        is_label ? wrong.remedy + "; labels of another one are scaled with " +
-                                       label_settings(frame, path, labels_key_, "")
-                                 : wrong.remedy);
-    } else if (is_label) {
-      report_color_labels(frame, path, size.channels, labels_key_, diagnostics);
-    }
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), frame_place(frame), std::string(what) + " " + e.message(), e.remedy());
-  }
-  return size;
 }
 
 void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
@@ -328,12 +324,12 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     std::vector<std::uint8_t> alpha;
     const bool wants_alpha = rules.alpha || rules.alpha_masks;
     Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background, wants_alpha ? &alpha : nullptr);
-    check_size(color, frame, files.color);
+    check_size(color, frame.camera, files.color);
     out.rgb = std::move(color.pixels);
     for (const auto& [path, masked] : {std::pair{&files.mask, 0}, std::pair{&files.moving, 1}}) {
       if (path->empty()) continue;
       const Image<std::uint8_t> mask = read_mask(*path);
-      check_size(mask, frame, *path);
+      check_size(mask, frame.camera, *path);
       if (out.used.empty()) out.used.assign(mask.pixels.size(), 1);
       for (std::size_t i = 0; i < out.used.size(); ++i) out.used[i] = mask.pixels[i] == masked ? 0 : out.used[i];
     }
@@ -347,7 +343,7 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
       if (rules.depth_camera != nullptr) {
         out.depth_m = drawn_depth(depth, *rules.depth_camera, frame.camera);
       } else {
-        check_size(depth, frame, files.depth);
+        check_size(depth, frame.camera, files.depth);
         out.depth_m = std::move(depth.pixels);
       }
     }
@@ -519,38 +515,28 @@ struct Corner {
   double taken = 0;                // as the depth camera took it
 };
 
-class Canvas {
- public:
-  Canvas(const Camera& camera)
-      : width_(camera.width_px), height_(camera.height_px), depth_(pixel_at(0, height_, width_)) {}
-  // Pixel centres within the triangle; inverse depth is linear in the image of a pinhole.
-  void triangle(const Corner& a, const Corner& b, const Corner& c) {
-    const double least = std::min({a.taken, b.taken, c.taken}), most = std::max({a.taken, b.taken, c.taken});
-    if (!(least > 0) || !(a.depth > 0) || !(b.depth > 0) || !(c.depth > 0) || most - least > kEdge * least) return;
-    const double area = (b.u - a.u) * (c.v - a.v) - (c.u - a.u) * (b.v - a.v);
-    const double u0 = std::min({a.u, b.u, c.u}), u1 = std::max({a.u, b.u, c.u});
-    const double v0 = std::min({a.v, b.v, c.v}), v1 = std::max({a.v, b.v, c.v});
-    if (area == 0 || !(u1 - u0 < kWidest) || !(v1 - v0 < kWidest)) return;
-    const auto first = [](double at) { return std::max(0.0, std::ceil(at - 0.5)); };
-    const auto last = [](double at, std::int32_t size) { return std::min(size - 1.0, std::floor(at - 0.5)); };
-    for (double y = first(v0); y <= last(v1, height_); ++y) {
-      for (double x = first(u0); x <= last(u1, width_); ++x) {
-        const double u = x + 0.5, v = y + 0.5;
-        const double wb = ((u - a.u) * (c.v - a.v) - (c.u - a.u) * (v - a.v)) / area;
-        const double wc = ((b.u - a.u) * (v - a.v) - (u - a.u) * (b.v - a.v)) / area;
-        if (wb < -1e-9 || wc < -1e-9 || wb + wc > 1 + 1e-9) continue;
-        const double at = 1 / ((1 - wb - wc) / a.depth + wb / b.depth + wc / c.depth);
-        float& here = depth_[pixel_at(static_cast<std::int64_t>(x), static_cast<std::int64_t>(y), width_)];
-        if (here == 0 || at < static_cast<double>(here)) here = static_cast<float>(at);
-      }
+// Draws pixel centres within the triangle; inverse depth is linear in the image of a pinhole.
+void draw_triangle(Image<float>& out, const Corner& a, const Corner& b, const Corner& c) {
+  const double least = std::min({a.taken, b.taken, c.taken}), most = std::max({a.taken, b.taken, c.taken});
+  if (!(least > 0) || !(a.depth > 0) || !(b.depth > 0) || !(c.depth > 0) || most - least > kEdge * least) return;
+  const double area = (b.u - a.u) * (c.v - a.v) - (c.u - a.u) * (b.v - a.v);
+  const double u0 = std::min({a.u, b.u, c.u}), u1 = std::max({a.u, b.u, c.u});
+  const double v0 = std::min({a.v, b.v, c.v}), v1 = std::max({a.v, b.v, c.v});
+  if (area == 0 || !(u1 - u0 < kWidest) || !(v1 - v0 < kWidest)) return;
+  const auto first = [](double at) { return std::max(0.0, std::ceil(at - 0.5)); };
+  const auto last = [](double at, std::int32_t size) { return std::min(size - 1.0, std::floor(at - 0.5)); };
+  for (double y = first(v0); y <= last(v1, out.height_px); ++y) {
+    for (double x = first(u0); x <= last(u1, out.width_px); ++x) {
+      const double u = x + 0.5, v = y + 0.5;
+      const double wb = ((u - a.u) * (c.v - a.v) - (c.u - a.u) * (v - a.v)) / area;
+      const double wc = ((b.u - a.u) * (v - a.v) - (u - a.u) * (b.v - a.v)) / area;
+      if (wb < -1e-9 || wc < -1e-9 || wb + wc > 1 + 1e-9) continue;
+      const double at = 1 / ((1 - wb - wc) / a.depth + wb / b.depth + wc / c.depth);
+      float& here = out.pixels[pixel_at(static_cast<std::int64_t>(x), static_cast<std::int64_t>(y), out.width_px)];
+      if (here == 0 || at < static_cast<double>(here)) here = static_cast<float>(at);
     }
   }
-  std::vector<float> take() { return std::move(depth_); }
-
- private:
-  std::int32_t width_, height_;
-  std::vector<float> depth_;
-};
+}
 
 }  // namespace
 
@@ -570,7 +556,8 @@ std::vector<float> drawn_depth(const Image<float>& depth, const DepthCamera& fro
     out.taken = taken;
     return out;
   };
-  Canvas canvas(color);
+  Image<float> out{color.width_px, color.height_px, 1,
+                   std::vector<float>(pixel_at(0, color.height_px, color.width_px))};
   std::vector<Corner> above, row;
   for (std::int32_t y = 0; y < depth.height_px; ++y) {
     row.clear();
@@ -583,12 +570,12 @@ std::vector<float> drawn_depth(const Image<float>& depth, const DepthCamera& fro
           (quad[1]->taken > 0 && quad[3]->taken > 0 && (!falling || quad[0]->taken == 0 || quad[2]->taken == 0)) ? 1
                                                                                                                  : 0;
       const auto at = [&](std::size_t k) -> const Corner& { return *quad[(k + turn) % 4]; };
-      canvas.triangle(at(0), at(1), at(2));
-      canvas.triangle(at(0), at(2), at(3));
+      draw_triangle(out, at(0), at(1), at(2));
+      draw_triangle(out, at(0), at(2), at(3));
     }
     above.swap(row);
   }
-  return canvas.take();
+  return std::move(out.pixels);
 }
 
 std::vector<fs::path> folders_like(const fs::path& folder, const fs::path& image) {
@@ -663,71 +650,6 @@ void FrameMasks::report(Diagnostics& diagnostics) const {
                      std::to_string(asked_ - found_) + " of " + std::to_string(asked_) +
                          " images have no mask: all of their pixels count");
   }
-}
-
-// A lens whose border pixels all have rays has one for every pixel: what it bends lies between the axis and the border.
-
-namespace {
-
-bool has_ray(const Camera& camera, std::int64_t x, std::int64_t y) {
-  return !(camera.direction(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5) == Vec3d{0, 0, 0});
-}
-
-bool has_rays_along_border(const Camera& camera) {
-  const std::int64_t right = camera.width_px - 1, bottom = camera.height_px - 1;
-  for (std::int64_t x = 0; x <= right; ++x)
-    if (!has_ray(camera, x, 0) || !has_ray(camera, x, bottom)) return false;
-  for (std::int64_t y = 0; y <= bottom; ++y)
-    if (!has_ray(camera, 0, y) || !has_ray(camera, right, y)) return false;
-  return true;
-}
-
-}  // namespace
-
-std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, const ImageSize& from,
-                                       const ImageSize& to) {
-  if (used.empty()) return {};
-  std::vector<std::uint8_t> out(pixel_at(0, to.height_px, to.width_px), 1);
-  // Of the pixels `from`, those that pixel `at` of `to` covers a part of.
-  const auto covered = [](std::int64_t at, std::int64_t size, std::int64_t many) {
-    return std::pair{at * many / size, ((at + 1) * many + size - 1) / size};
-  };
-  parallel_for(to.height_px, [&](std::int64_t y) {
-    const auto [top, bottom] = covered(y, to.height_px, from.height_px);
-    for (std::int64_t x = 0; x < to.width_px; ++x) {
-      const auto [left, right] = covered(x, to.width_px, from.width_px);
-      for (std::int64_t row = top; row < bottom; ++row) {
-        const auto begin = used.begin() + row * from.width_px;
-        if (std::find(begin + left, begin + right, std::uint8_t{0}) != begin + right)
-          out[pixel_at(x, y, to.width_px)] = 0;
-      }
-    }
-  });
-  return out;
-}
-
-LensMasks::LensMasks(const std::vector<Camera>& cameras) {
-  std::vector<Camera> known;
-  for (const Camera& camera : cameras) {
-    if (camera.width_px == 0 || !camera.has_distortion() ||
-        std::find(known.begin(), known.end(), camera) != known.end())
-      continue;
-    known.push_back(camera);
-    if (has_rays_along_border(camera)) continue;
-    std::vector<std::uint8_t> used(pixel_at(0, camera.height_px, camera.width_px));
-    parallel_for(camera.height_px, [&](std::int64_t y) {
-      for (std::int64_t x = 0; x < camera.width_px; ++x)
-        used[pixel_at(x, y, camera.width_px)] = has_ray(camera, x, y) ? 1 : 0;
-    });
-    masks_.emplace_back(camera, std::move(used));
-  }
-}
-
-void LensMasks::add_to(const Camera& camera, FrameBuffer& frame) const {
-  const auto own = std::find_if(masks_.begin(), masks_.end(), [&](const auto& mask) { return mask.first == camera; });
-  if (own == masks_.end()) return;
-  if (frame.used.empty()) frame.used.assign(own->second.size(), 1);
-  for (std::size_t i = 0; i < frame.used.size(); ++i) frame.used[i] = frame.used[i] & own->second[i];
 }
 
 }  // namespace semfield

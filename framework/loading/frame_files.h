@@ -131,9 +131,6 @@ class FrameFileCheck {
   void report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const;
 
  private:
-  ImageSize check_header(const FrameInfo& frame, const char* what, const std::string& path, const Camera& camera,
-                         Diagnostics& diagnostics);
-
   MissingFiles missing_;
   std::string labels_key_;
   std::size_t checked_ = 0, frames_ = 0;
@@ -246,25 +243,6 @@ class FrameMasks {
   FileNames names_;
   std::size_t images_ = 0, asked_ = 0, found_ = 0, moving_ = 0;
   std::map<std::string, std::vector<std::string>> images_of_;  // by mask
-};
-
-// Pixels of loaded frames that do not count: masks at another size, and pixels through which a lens has no ray.
-
-/// `used` [from.height * from.width] at a size of at most its own: a pixel is masked where any masked one falls into
-/// it, so that none of what is masked shines through. An empty mask stays empty.
-std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, const ImageSize& from,
-                                       const ImageSize& to);
-
-/// Pixels without a ray, of each lens that has any.
-class LensMasks {
- public:
-  /// Cameras at the loaded size; one without a size is passed over.
-  explicit LensMasks(const std::vector<Camera>& cameras);
-  /// Masks them in a frame of that camera.
-  void add_to(const Camera& camera, FrameBuffer& frame) const;
-
- private:
-  std::vector<std::pair<Camera, std::vector<std::uint8_t>>> masks_;
 };
 
 }  // namespace semfield

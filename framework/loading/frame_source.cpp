@@ -15,8 +15,6 @@
 #include "core/check.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "scene/scene.h"
 #include "scene/survey/geometry_survey.h"
 
@@ -45,6 +43,78 @@ void check_labels(const FrameBuffer& b, int classes) {
                   " and void is " + std::to_string(kVoid),
               "this is a defect of the dataset plugin: it maps ids to classes");
 }
+
+// Pixels that do not count: masks at another size, and pixels through which a lens has no ray. A lens whose border
+// pixels all have rays has one for every pixel: what it bends lies between the axis and the border.
+
+// `used` [from.height * from.width] at a size of at most its own: a pixel is masked where any masked one falls into it,
+// so that none of what is masked shines through. An empty mask stays empty.
+std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, const ImageSize& from,
+                                       const ImageSize& to) {
+  if (used.empty()) return {};
+  std::vector<std::uint8_t> out(pixel_at(0, to.height_px, to.width_px), 1);
+  // Of the pixels `from`, those that pixel `at` of `to` covers a part of.
+  const auto covered = [](std::int64_t at, std::int64_t size, std::int64_t many) {
+    return std::pair{at * many / size, ((at + 1) * many + size - 1) / size};
+  };
+  parallel_for(to.height_px, [&](std::int64_t y) {
+    const auto [top, bottom] = covered(y, to.height_px, from.height_px);
+    for (std::int64_t x = 0; x < to.width_px; ++x) {
+      const auto [left, right] = covered(x, to.width_px, from.width_px);
+      for (std::int64_t row = top; row < bottom; ++row) {
+        const auto begin = used.begin() + row * from.width_px;
+        if (std::find(begin + left, begin + right, std::uint8_t{0}) != begin + right)
+          out[pixel_at(x, y, to.width_px)] = 0;
+      }
+    }
+  });
+  return out;
+}
+
+bool has_ray(const Camera& camera, std::int64_t x, std::int64_t y) {
+  return !(camera.direction(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5) == Vec3d{0, 0, 0});
+}
+
+bool has_rays_along_border(const Camera& camera) {
+  const std::int64_t right = camera.width_px - 1, bottom = camera.height_px - 1;
+  for (std::int64_t x = 0; x <= right; ++x)
+    if (!has_ray(camera, x, 0) || !has_ray(camera, x, bottom)) return false;
+  for (std::int64_t y = 0; y <= bottom; ++y)
+    if (!has_ray(camera, 0, y) || !has_ray(camera, right, y)) return false;
+  return true;
+}
+
+// Pixels without a ray, of each lens that has any.
+class LensMasks {
+ public:
+  // Cameras at the loaded size; one without a size is passed over.
+  explicit LensMasks(const std::vector<Camera>& cameras) {
+    std::vector<Camera> known;
+    for (const Camera& camera : cameras) {
+      if (camera.width_px == 0 || !camera.has_distortion() ||
+          std::find(known.begin(), known.end(), camera) != known.end())
+        continue;
+      known.push_back(camera);
+      if (has_rays_along_border(camera)) continue;
+      std::vector<std::uint8_t> used(pixel_at(0, camera.height_px, camera.width_px));
+      parallel_for(camera.height_px, [&](std::int64_t y) {
+        for (std::int64_t x = 0; x < camera.width_px; ++x)
+          used[pixel_at(x, y, camera.width_px)] = has_ray(camera, x, y) ? 1 : 0;
+      });
+      masks_.emplace_back(camera, std::move(used));
+    }
+  }
+  // Masks them in a frame of that camera.
+  void add_to(const Camera& camera, FrameBuffer& frame) const {
+    const auto own = std::find_if(masks_.begin(), masks_.end(), [&](const auto& mask) { return mask.first == camera; });
+    if (own == masks_.end()) return;
+    if (frame.used.empty()) frame.used.assign(own->second.size(), 1);
+    for (std::size_t i = 0; i < frame.used.size(); ++i) frame.used[i] = frame.used[i] & own->second[i];
+  }
+
+ private:
+  std::vector<std::pair<Camera, std::vector<std::uint8_t>>> masks_;
+};
 
 // Whether a frame's depth stays in memory.
 bool keeps_depth(const SceneLoadOptions& options, Split split) {
@@ -516,8 +586,6 @@ void grow(Box& box, double share, double away) {
   }
 }
 
-std::string short_number(double value) { return fmt::format("{:.3g}", value); }
-
 }  // namespace
 
 Box box_of(const std::vector<double>& corners) {
@@ -540,8 +608,7 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
   for (std::int32_t y = step / 2; y < frame.height_px; y += step) {
     for (std::int32_t x = step / 2; x < frame.width_px; x += step) {
       ++out.looked_at;
-      const float depth = frame.depth_m[static_cast<std::size_t>(y) * static_cast<std::size_t>(frame.width_px) +
-                                        static_cast<std::size_t>(x)];
+      const float depth = frame.depth_m[pixel_at(x, y, frame.width_px)];
       if (!(depth > 0) || !std::isfinite(depth)) continue;
       const Vec3d d = camera.direction(x + 0.5, y + 0.5);
       const double share = camera.depth_of(d);
@@ -555,8 +622,106 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
 
 namespace {
 
+// Rays of the training frames against bounds, near and far.
+
+constexpr std::size_t kFrames = 64;
+constexpr int kColumns = 12, kRows = 9;
+constexpr double kFew = 0.05;
+
+std::string box_text(const Box& box) {
+  const auto& [lo, hi] = box;
+  return fmt::format("[{:.4g},{:.4g},{:.4g},{:.4g},{:.4g},{:.4g}]", lo.x, lo.y, lo.z, hi.x, hi.y, hi.z);
+}
+
+struct RayCounts {
+  int rays = 0, meet_box = 0, sampled = 0;
+  double nearest = 1e300, farthest = 0;  ///< where rays are inside of the box
+};
+
+RayCounts count_rays(const LoadedScene& scene, const std::vector<int>& usable) {
+  RayCounts out;
+  const std::size_t frames = std::min(usable.size(), kFrames);
+  for (std::size_t k = 0; k < frames; ++k) {
+    const FrameInfo& frame = scene.info.frames[static_cast<std::size_t>(usable[k * usable.size() / frames])];
+    for (int i = 0; i < kColumns * kRows; ++i) {
+      const Vec3d local = frame.camera.direction((i % kColumns + 0.5) * frame.camera.width_px / kColumns,
+                                                 (i / kColumns + 0.5) * frame.camera.height_px / kRows);
+      if (!(frame.camera.depth_of(local) > 0)) continue;  // no ray
+      ++out.rays;
+      double enters = 0, leaves = 0;
+      if (!intersect(scene.bounds, frame.world_from_camera.t, frame.world_from_camera.rotate(local), enters, leaves))
+        continue;
+      ++out.meet_box;
+      out.nearest = std::min(out.nearest, enters);
+      out.farthest = std::max(out.farthest, leaves);
+      if (std::max(enters, scene.near_m) < std::min(leaves, scene.far_m)) ++out.sampled;
+    }
+  }
+  return out;
+}
+
+// An error where the share is 0, else a warning.
+void report(Code code, double share, const std::string& key, const std::string& what, const std::string& remedy,
+            Diagnostics& diagnostics) {
+  if (share == 0) {
+    diagnostics.error(code, key, "none of " + what, remedy);
+  } else {
+    diagnostics.warning(code, key,
+                        fmt::format("only {:.4g} % of {}", std::max(0.1, std::round(1000 * share) / 10), what), remedy);
+  }
+}
+
+std::string set_near_far(double near, double far) {
+  return fmt::format("add --set scene.load.near_m={:.4g} --set scene.load.far_m={:.4g}", near, far);
+}
+
+// What the pixels themselves tell.
+struct SeenExtent {
+  const Box& box;                       ///< that the data suggest
+  const std::vector<float>& distances;  ///< of depth along its rays; empty without depth
+  bool taken;                           ///< the bounds of the scene are that box: nobody gave others
+};
+
+// Rays of the training frames `usable` (a sparse grid of at most 64 of them) against bounds, near and far, and depth
+// against near and far: an error where nothing lies in what would be sampled, a warning where less than 5 % does.
+void check_rays(const LoadedScene& scene, const std::vector<int>& usable, const SeenExtent& seen,
+                Diagnostics& diagnostics) {
+  const RayCounts counts = count_rays(scene, usable);
+  const auto share = [&](int some) { return static_cast<double>(some) / std::max(1, counts.rays); };
+  const std::string span =
+      fmt::format("near {:.4g} and far {:.4g} (from {})", scene.near_m, scene.far_m, scene.near_far_from);
+  const bool box_met = share(counts.meet_box) >= kFew;
+  if (counts.rays > 0 && !box_met && !seen.taken) {
+    return report("scene.bounds.missed", share(counts.meet_box), "scene.load.bounds",
+                  "the rays of the training cameras can meet the bounds " + box_text(scene.bounds) + " (from " +
+                      scene.bounds_from + ")",
+                  "the data suggest --set 'scene.load.bounds=" + box_text(seen.box) + "'", diagnostics);
+  }
+  if (!seen.distances.empty()) {
+    const auto inside = std::count_if(seen.distances.begin(), seen.distances.end(),
+                                      [&](float t) { return t >= scene.near_m && t <= scene.far_m; });
+    const double part = static_cast<double>(inside) / static_cast<double>(seen.distances.size());
+    const auto [nearest, farthest] = std::minmax_element(seen.distances.begin(), seen.distances.end());
+    if (part < kFew) {
+      return report("scene.bounds.near_far", part, "scene.load.near_m",
+                    "the depth of the training frames is between " + span,
+                    fmt::format("depth lies from {:.4g} to {:.4g}: ", *nearest, *farthest) +
+                        set_near_far(0.5 * *nearest, 1.05 * *farthest),
+                    diagnostics);
+    }
+  }
+  if (box_met && share(counts.sampled) < kFew) {
+    report("scene.bounds.near_far", share(counts.sampled), "scene.load.near_m",
+           "the rays of the training cameras can be inside the bounds between " + span,
+           fmt::format("rays are inside from {:.4g} to {:.4g}: ", counts.nearest, counts.farthest) +
+               set_near_far(std::max(counts.nearest, 0.01 * counts.farthest), counts.farthest),
+           diagnostics);
+  }
+}
+
 constexpr std::size_t kFewestCorners = 100;
 constexpr double kCornerMargin = 0.15;  // they are sparse: too small costs more than too large
+constexpr const char* kDepthFrom = "depth of the training frames";
 constexpr const char* kCornersFrom = "corners found again in training frames";
 
 double middle_of(const SurveyPoints& points) {
@@ -574,26 +739,45 @@ struct Evidence {
   std::optional<SurveyedExtent> corners;  ///< of scenes that neither depth nor a plain background tells of
 };
 
+// Distances along rays, and what tells them.
+struct Reach {
+  double near_m = 0, far_m = 0;  ///< near 0: not told
+  const char* from = "";
+};
+
 Box box_of_cameras(const Cameras& cameras) {
   Box box;
   for (const FrameInfo* camera : cameras) box.include(camera->world_from_camera.t);
   return box;
 }
 
-// Least and greatest distance from a camera to the box; 0 where one stands in it.
-void distances_to(const Box& box, const Cameras& cameras, double& nearest, double& farthest) {
-  nearest = 1e300;
-  farthest = 0;
+// From the cameras to the nearest and the farthest of an object's box; near 0 where one stands in it.
+Reach reach_of(const Box& object, const Cameras& cameras) {
+  double nearest = 1e300, farthest = 0;
   for (const FrameInfo* camera : cameras) {
     const Vec3d eye = camera->world_from_camera.t;
     Vec3d out, across;
     for (int a = 0; a < 3; ++a) {
-      out[a] = std::max({box.lo[a] - eye[a], eye[a] - box.hi[a], 0.0});
-      across[a] = std::max(eye[a] - box.lo[a], box.hi[a] - eye[a]);
+      out[a] = std::max({object.lo[a] - eye[a], eye[a] - object.hi[a], 0.0});
+      across[a] = std::max(eye[a] - object.lo[a], object.hi[a] - eye[a]);
     }
     nearest = std::min(nearest, length(out));
     farthest = std::max(farthest, length(across));
   }
+  return {0.8 * nearest, 1.05 * farthest, "the object's silhouettes"};
+}
+
+// Seen in depth, about the object, between corners, or a multiple of the cameras' walk: too far costs less than too
+// near, which cuts the scene.
+Reach seen_reach(const LoadedScene& scene, Evidence& seen) {
+  constexpr double kWalks = 4;
+  if (seen.has_depth)
+    return {0.5 * quantile(seen.survey.distances, 0.001), 1.05 * quantile(seen.survey.distances, 0.999), kDepthFrom};
+  if (scene.plain_background) return reach_of(scene.plain_background->object, seen.cameras);
+  if (seen.corners) return {seen.corners->near_m, seen.corners->far_m, kCornersFrom};
+  const double walk = length(box_of_cameras(seen.cameras).size());
+  if (walk > 0) return {0, kWalks * walk, "four times the extent of the cameras"};
+  return {0, 10.0, "a guess (one camera place, no depth)"};
 }
 
 // With space outside contracted: about what the cameras see together or, where they look outward, where they stand.
@@ -605,48 +789,29 @@ Box cube_of_subject(const CameraRig& rig, const Cameras& cameras) {
   return {around.center() - Vec3d{half, half, half}, around.center() + Vec3d{half, half, half}};
 }
 
-// Far: asked for, told by the dataset, seen in depth, behind the object, or a multiple of the cameras' walk: too far
-// costs less than too near, which cuts the scene.
+// Asked for, told by the dataset, or seen.
 void derive_distances(LoadedScene& scene, Evidence& seen, const SceneLoadOptions& options) {
-  constexpr double kWalks = 4, kReach = 64;
+  constexpr double kReach = 64;
   scene.near_m = options.near_m > 0 ? options.near_m : scene.info.near_hint_m;
   scene.far_m = options.far_m > 0 ? options.far_m : scene.info.far_hint_m;
   if (options.contracted && !(options.far_m > 0)) {
     const Vec3d size = cube_of_subject(scene.rig, seen.cameras).size();
     scene.far_m = kReach * size.x;
     if (scene.near_m <= 0) scene.near_m = 0.05 * (scene.rig.inward ? scene.rig.distance_m : size.x);
-    scene.near_far_from = "contraction: far is " + short_number(kReach) + " times the bounds";
+    scene.near_far_from = fmt::format("contraction: far is {:.3g} times the bounds", kReach);
     return;
   }
   scene.near_far_from = options.near_m > 0 && options.far_m > 0 ? "the configuration"
                         : scene.near_m > 0 && scene.far_m > 0   ? "the dataset"
                                                                 : "";
-  double to_object = 0, behind_object = 0;
-  if (scene.plain_background) distances_to(scene.plain_background->object, seen.cameras, to_object, behind_object);
+  const Reach reach = seen_reach(scene, seen);
   if (scene.far_m <= 0) {
-    const double walk = length(box_of_cameras(seen.cameras).size());
-    const bool object = scene.plain_background.has_value();
-    scene.far_m = seen.has_depth ? 1.05 * quantile(seen.survey.distances, 0.999)
-                  : object       ? 1.05 * behind_object
-                  : seen.corners ? seen.corners->far_m
-                  : walk > 0     ? kWalks * walk
-                                 : 10.0;
-    scene.near_far_from = seen.has_depth ? "depth of the training frames"
-                          : object       ? "the object's silhouettes"
-                          : seen.corners ? kCornersFrom
-                          : walk > 0     ? "four times the extent of the cameras"
-                                         : "a guess (one camera place, no depth)";
+    scene.far_m = reach.far_m;
+    scene.near_far_from = reach.from;
   }
-  if (scene.near_m <= 0) {
-    scene.near_m = seen.has_depth  ? std::min(0.5 * quantile(seen.survey.distances, 0.001), 0.5 * scene.far_m)
-                   : to_object > 0 ? std::min(0.8 * to_object, 0.5 * scene.far_m)
-                   : seen.corners  ? std::min(seen.corners->near_m, 0.5 * scene.far_m)
-                                   : 0.01 * scene.far_m;
-    if (scene.near_far_from.empty())
-      scene.near_far_from = seen.has_depth ? "depth of the training frames"
-                            : seen.corners ? kCornersFrom
-                                           : "1 % of far";
-  }
+  if (scene.near_m > 0) return;
+  scene.near_m = reach.near_m > 0 ? std::min(reach.near_m, 0.5 * scene.far_m) : 0.01 * scene.far_m;
+  if (scene.near_far_from.empty()) scene.near_far_from = seen.has_depth || seen.corners ? reach.from : "1 % of far";
 }
 
 // All that the cameras may see up to far, inside what the dataset says holds it all.
@@ -729,28 +894,26 @@ void warn_of_coarse_positions(const LoadedScene& scene, Diagnostics& diagnostics
   for (int a = 0; a < 3; ++a) largest = std::max({largest, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
   if (largest * 0x1p-24 <= 1e-3 * scene.pixel_footprint_m) return;
   diagnostics.warning("scene.coordinates.precision", "scene",
-                      "coordinates reach " + short_number(largest) + ", where single precision steps by " +
-                          short_number(largest * 0x1p-23) + " against a pixel of " +
-                          short_number(scene.pixel_footprint_m),
+                      fmt::format("coordinates reach {:.3g}, where single precision steps by {:.3g} against a pixel of "
+                                  "{:.3g}",
+                                  largest, largest * 0x1p-23, scene.pixel_footprint_m),
                       "move the origin of the poses near the scene");
-}
-
-std::string list_text(const Box& box) {
-  std::string out = "[";
-  for (int i = 0; i < 6; ++i) out += (i > 0 ? ", " : "") + short_number(i < 3 ? box.lo[i] : box.hi[i - 3]);
-  return out + "]";
 }
 
 // What a guess costs, and what to do about it here.
 void tell_of_guess(const LoadedScene& scene, const SceneLoadOptions& options, Diagnostics& diagnostics) {
   const Vec3d size = scene.bounds.size();
-  const std::string guess = "bounds of " + short_number(size.x) + " x " + short_number(size.y) + " x " +
-                            short_number(size.z) + " and far " + short_number(scene.far_m) +
-                            " are a guess: no depth, no points, no plain background";
+  const std::string guess = fmt::format(
+      "bounds of {:.3g} x {:.3g} x {:.3g} and far {:.3g} are a guess: no depth, no points, no plain background", size.x,
+      size.y, size.z, scene.far_m);
   if (scene.rig.inward) {
+    const auto& [lo, hi] = scene.rig.seen;
     diagnostics.warning(
         "scene.bounds.guessed", "scene.load.bounds",
-        guess + "; the cameras stand around one place and see it together within " + list_text(scene.rig.seen),
+        fmt::format(
+            "{}; the cameras stand around one place and see it together within [{:.3g}, {:.3g}, {:.3g}, {:.3g}, "
+            "{:.3g}, {:.3g}]",
+            guess, lo.x, lo.y, lo.z, hi.x, hi.y, hi.z),
         "where the background matters include presets/unbounded.yaml; where only the subject does, set "
         "scene.load.bounds to that box");
   } else if (options.probe_steps == 0) {
@@ -805,8 +968,8 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   const bool both_given = options.near_m > 0 && options.far_m > 0;
   if (!both_given && (!(scene.near_m < scene.far_m) || !std::isfinite(scene.far_m))) {
     diagnostics.error("scene.bounds.near_far", "scene.load.near_m",
-                      "near is " + short_number(scene.near_m) + " m and far is " + short_number(scene.far_m) +
-                          " m: no part of a ray lies between them",
+                      fmt::format("near is {:.3g} m and far is {:.3g} m: no part of a ray lies between them",
+                                  scene.near_m, scene.far_m),
                       "set scene.load.near_m below scene.load.far_m");
   }
   derive_bounds(scene, seen, options, diagnostics);

@@ -54,14 +54,7 @@ Cameras some_of(const Cameras& cameras, std::size_t most) {
   return out;
 }
 
-}  // namespace
-
-double angle_deg(const Pose& a, const Pose& b) {
-  double trace = 0;
-  for (int c = 0; c < 3; ++c) trace += dot(a.axis(c), b.axis(c));
-  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
-}
-
+// Where a world point falls in the frame's image, pixels; false when it is behind the camera or beside the image.
 bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v) {
   const Vec3d p = frame.world_from_camera.apply_inverse(point);
   if (!frame.camera.sees(p)) return false;
@@ -69,7 +62,10 @@ bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v) {
   return u >= 0 && v >= 0 && u < frame.camera.width_px && v < frame.camera.height_px;
 }
 
-Box box_of_voxels(const Box& region, const std::function<bool(Vec3d center)>& keeps) {
+// Box of the voxels of `region`, 48 an axis, whose centres `keeps` accepts (called from any thread); empty when there
+// is none.
+template <class Keeps>
+Box box_of_voxels(const Box& region, const Keeps& keeps) {
   constexpr std::int64_t kSide = 48;
   const Vec3d cell = region.size() * (1.0 / kSide);
   std::vector<Box> layers(kSide);
@@ -91,6 +87,14 @@ Box box_of_voxels(const Box& region, const std::function<bool(Vec3d center)>& ke
     box.include(layer.hi);
   }
   return box;
+}
+
+}  // namespace
+
+double angle_deg(const Pose& a, const Pose& b) {
+  double trace = 0;
+  for (int c = 0; c < 3; ++c) trace += dot(a.axis(c), b.axis(c));
+  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
 }
 
 CameraRig find_rig(const Cameras& all) {

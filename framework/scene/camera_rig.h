@@ -5,7 +5,6 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <iterator>
 #include <optional>
 #include <vector>
@@ -31,13 +30,6 @@ struct CameraRig {
 
 /// From poses and lenses alone.
 CameraRig find_rig(const Cameras& cameras);
-
-/// Where a world point falls in the frame's image, pixels; false when it is behind the camera or beside the image.
-bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v);
-
-/// Box of the voxels of `region`, 48 an axis, whose centres `keeps` accepts (called from any thread); empty when there
-/// is none.
-Box box_of_voxels(const Box& region, const std::function<bool(Vec3d center)>& keeps);
 
 // What the user says of a scene whose files keep another convention than its dataset expects, and how poses and depth
 // are brought right by it.

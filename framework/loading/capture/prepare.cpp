@@ -486,17 +486,25 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
   const std::set<std::string> misplaced(found.misplaced.begin(), found.misplaced.end());
   std::set<std::string> elsewhere;
   for (const FoundModel& other : found.others) elsewhere.insert(other.images.begin(), other.images.end());
-  enum class Why { has_pose, is_misplaced, is_blurred, fits_others, stands_alone };
-  const auto why = [&](const std::string& name) {
-    if (posed.contains(name)) return Why::has_pose;
-    if (misplaced.contains(name)) return Why::is_misplaced;
-    if (unsharp.contains(name)) return Why::is_blurred;
-    return elsewhere.contains(name) ? Why::fits_others : Why::stands_alone;
+  // What is said of each cause, by its place; of one photograph, where `are` is "is" and so on, or of several.
+  constexpr const char *kMisplaced =
+                           "{range} {were} placed far from the photographs before and after {them}, at "
+                           "something that looks the same, and {are} left out: {between}",
+                       *kBlurred = "{range} {are} blurred: take {them} again, standing still or with more light",
+                       *kElsewhere =
+                           "{range} fit{s} others that are missing, but not the rest: {between}, or prepare "
+                           "another place as a scene of its own",
+                       *kAlone = "{range} share{s} too little with the others: {between}";
+  const auto why = [&](const std::string& name) -> const char* {  // null: it has a pose
+    if (posed.contains(name)) return nullptr;
+    if (misplaced.contains(name)) return kMisplaced;
+    if (unsharp.contains(name)) return kBlurred;
+    return elsewhere.contains(name) ? kElsewhere : kAlone;
   };
   std::vector<Missing> out;
   for (std::size_t i = 0; i < names.size(); ++i) {
-    const Why cause = why(names[i]);
-    if (cause == Why::has_pose) continue;
+    const char* const cause = why(names[i]);
+    if (cause == nullptr) continue;
     std::size_t last = i;
     while (last + 1 < names.size() && why(names[last + 1]) == cause) ++last;
     std::string between = "take some between";
@@ -505,21 +513,12 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
     else
       between += " them and the others";
     const bool one = i == last;
-    std::string text = range_text(names, i, last);
-    if (cause == Why::is_misplaced) {
-      text += std::string(one ? " was" : " were") + " placed far from the photographs before and after " +
-              (one ? "it" : "them") + ", at something that looks the same, and " + (one ? "is" : "are") +
-              " left out: " + between;
-    } else if (cause == Why::is_blurred) {
-      text += std::string(one ? " is" : " are") + " blurred: take " + (one ? "it" : "them") +
-              " again, standing still or with more light";
-    } else if (cause == Why::fits_others) {
-      text += " fit" + std::string(one ? "s" : "") + " others that are missing, but not the rest: " + between +
-              ", or prepare another place as a scene of its own";
-    } else {
-      text += " share" + std::string(one ? "s" : "") + " too little with the others: " + between;
-    }
-    out.push_back({i, last, std::move(text)});
+    const auto as = [](const char* word, const char* means) { return fmt::arg(word, means); };
+    out.push_back(
+        {i, last,
+         fmt::format(fmt::runtime(cause), fmt::arg("range", range_text(names, i, last)),
+                     as("were", one ? "was" : "were"), as("are", one ? "is" : "are"), as("them", one ? "it" : "them"),
+                     as("s", one ? "s" : ""), fmt::arg("between", between))});
     i = last;
   }
   return out;

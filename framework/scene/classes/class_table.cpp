@@ -516,7 +516,7 @@ std::array<std::uint8_t, 3> pascal_color(std::int32_t id) {
   return color;
 }
 
-ClassTable load_cvat_labelmap(const std::string& path) {
+static ClassTable load_cvat_labelmap(const std::string& path) {
   std::vector<ClassEntry> entries;
   std::map<std::string, std::string> place_of_name;
   std::int32_t next = 1;

@@ -143,9 +143,6 @@ std::vector<std::string> published_class_names();
 /// thirds goes to red, green and blue from the top bit down.
 std::array<std::uint8_t, 3> pascal_color(std::int32_t id);
 
-/// CVAT's labelmap.txt: lines `label:r,g,b:parts:actions`. A label "background" or of a void name is id 0 and ignored,
-/// the others are 1, 2, ... in the order of the file. Throws Error(data) naming file and line.
-ClassTable load_cvat_labelmap(const std::string& path);
 std::string to_cvat_labelmap(const ClassTable& classes);
 /// Header `class_id,class`, and `ignore` where names do not tell what is void; colours have no place in it.
 std::string to_class_csv(const ClassTable& classes);
@@ -155,8 +152,9 @@ enum class ScannetIds { raw, nyu40, nyu13 };
 /// The classes that occur in scannetv2-labels.combined.tsv, with void as id 0. Throws as read_scannet_tsv.
 ClassTable load_scannet_classes(const std::string& path, ScannetIds ids);
 
-/// Any class table by its extension: .yaml, .yml, .csv, .json as ClassTable::load, .txt as CVAT's label map, .tsv as
-/// ScanNet's raw ids.
+/// Any class table by its extension: .yaml, .yml, .csv, .json as ClassTable::load, .tsv as ScanNet's raw ids, .txt as
+/// CVAT's labelmap.txt: lines `label:r,g,b:parts:actions`, in which a label "background" or of a void name is id 0 and
+/// ignored, and the others are 1, 2, ... in the order of the file. Throws Error(data) naming file and line.
 ClassTable import_classes(const std::string& path);
 
 // ScanNet's table of label names (scannetv2-labels.combined.tsv): from the raw ids of label-filt images to NYU40 and to

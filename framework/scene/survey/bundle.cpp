@@ -6,7 +6,9 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <tuple>
 
+#include "formats/image_io.h"
 #include "scene/camera.h"
 
 namespace semfield {
@@ -40,9 +42,7 @@ std::optional<Facet> facet_at(const BundleDepth& view, Vec3d p) {
   if (!(u >= 1 && v >= 1 && u < c.width_px - 1 && v < c.height_px - 1)) return {};
   const auto x = static_cast<std::int32_t>(u), y = static_cast<std::int32_t>(v);
   const auto at = [&](std::int32_t dx, std::int32_t dy) -> std::optional<Vec3d> {
-    const double depth =
-        static_cast<double>(view.depth_m[static_cast<std::size_t>(y + dy) * static_cast<std::size_t>(c.width_px) +
-                                         static_cast<std::size_t>(x + dx)]);
+    const auto depth = static_cast<double>(view.depth_m[pixel_at(x + dx, y + dy, c.width_px)]);
     const Vec3d ray = c.direction(x + dx + 0.5, y + dy + 0.5);
     if (!(depth > 0) || !(c.depth_of(ray) > 0)) return {};
     return ray * (depth / c.depth_of(ray));
@@ -65,12 +65,7 @@ using Mat3 = Eigen::Matrix3d;
 
 Vec3e eigen(Vec3d v) { return {v.x, v.y, v.z}; }
 Vec3d plain(const Vec3e& v) { return {v.x(), v.y(), v.z()}; }
-Mat3 turn_of(const Pose& p) {
-  Mat3 out;
-  for (int r = 0; r < 3; ++r)
-    for (int c = 0; c < 3; ++c) out(r, c) = p.r[static_cast<std::size_t>(r)][static_cast<std::size_t>(c)];
-  return out;
-}
+Mat3 turn_of(const Pose& p) { return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(p.r[0].data()); }
 Mat3 cross_matrix(const Vec3e& v) {
   Mat3 out;
   out << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
@@ -87,8 +82,7 @@ Vec3e logarithm(const Mat3& r) {
 }
 Pose pose_of(const Mat3& r, const Vec3e& t) {
   Pose out;
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) out.r[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] = r(i, j);
+  Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(out.r[0].data()) = r;
   out.t = plain(t);
   return out;
 }
@@ -132,12 +126,16 @@ class Adjustment {
       build();
       bool better = false;
       for (; !better && damping < 1e8; damping *= 8) {
-        const Bundle before = state();
+        // Only what a step moves; the tracks' sightings stay.
+        const auto before = std::tuple(b_.poses, b_.lenses, b_.depth_from_color);
+        std::vector<Vec3d> points;
+        for (const Track& track : b_.tracks) points.push_back(track.point);
         if (!step(damping)) continue;
         const double then = cost();
         better = then < now;
         if (!better) {
-          restore(before);
+          std::tie(b_.poses, b_.lenses, b_.depth_from_color) = before;
+          for (std::size_t t = 0; t < points.size(); ++t) b_.tracks[t].point = points[t];
           continue;
         }
         const bool still = now - then < 1e-5 * now;
@@ -149,23 +147,6 @@ class Adjustment {
   }
 
  private:
-  // Only what a step moves; the tracks' sightings stay.
-  Bundle state() const {
-    Bundle out;
-    out.poses = b_.poses;
-    out.lenses = b_.lenses;
-    out.depth_from_color = b_.depth_from_color;
-    points_.resize(b_.tracks.size());
-    for (std::size_t i = 0; i < points_.size(); ++i) points_[i] = b_.tracks[i].point;
-    return out;
-  }
-  void restore(const Bundle& from) {
-    b_.poses = from.poses;
-    b_.lenses = from.lenses;
-    b_.depth_from_color = from.depth_from_color;
-    for (std::size_t i = 0; i < points_.size(); ++i) b_.tracks[i].point = points_[i];
-  }
-
   Rows rows(const Track& track, const Sighting& s, const std::vector<Camera>& cameras, bool slopes) const {
     Rows out;
     const auto f = static_cast<std::size_t>(s.frame);
@@ -205,15 +186,19 @@ class Adjustment {
     if (!slopes) return out;
     const Vec3e pe = eigen(p);
     Eigen::Matrix<double, 2, 3> by_p;
+    // By how much two steps of `h` apart differ in the image.
+    const auto slope = [&](const Camera& c1, Vec3d p1, const Camera& c0, Vec3d p0, double h) {
+      double u1 = 0, v1 = 0, u0 = 0, v0 = 0;
+      c1.project(p1, u1, v1);
+      c0.project(p0, u0, v0);
+      return Eigen::Vector2d((u1 - u0) / (2 * h * sigma), (v1 - v0) / (2 * h * sigma));
+    };
     const double h = 1e-6 * std::max(1e-9, length(p));
     for (int a = 0; a < 3; ++a) {
-      double u1 = 0, v1 = 0, u0 = 0, v0 = 0;
       Vec3d up = p, down = p;
       up[a] += h;
       down[a] -= h;
-      camera.project(up, u1, v1);
-      camera.project(down, u0, v0);
-      by_p.col(a) << (u1 - u0) / (2 * h * sigma), (v1 - v0) / (2 * h * sigma);
+      by_p.col(a) = slope(camera, up, camera, down, h);
     }
     Eigen::Matrix<double, 3, kPoseSize> p_by_pose;
     p_by_pose << -cross_matrix(pe), Mat3::Identity();
@@ -227,10 +212,7 @@ class Adjustment {
         LensChange more = change, less = change;
         more.by[static_cast<std::size_t>(k)] += step;
         less.by[static_cast<std::size_t>(k)] -= step;
-        double u1 = 0, v1 = 0, u0 = 0, v0 = 0;
-        more.applied_to(b_.stated[f]).project(p, u1, v1);
-        less.applied_to(b_.stated[f]).project(p, u0, v0);
-        out.by_lens.col(k).head<2>() << (u1 - u0) / (2 * step * sigma), (v1 - v0) / (2 * step * sigma);
+        out.by_lens.col(k).head<2>() = slope(more.applied_to(b_.stated[f]), p, less.applied_to(b_.stated[f]), p, step);
       }
     }
     if (facet) {
@@ -431,7 +413,6 @@ class Adjustment {
   Eigen::MatrixXd h_;
   Eigen::VectorXd g_;
   std::vector<PointPart> points_of_;
-  mutable std::vector<Vec3d> points_;
 };
 
 }  // namespace
