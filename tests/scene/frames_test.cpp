@@ -766,52 +766,45 @@ TEST(GeometrySurvey, PosesThatFitNothingAreWarnedAboutWithTheNumbers) {
       << a.warning << a.geometry;
 }
 
-TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
-  Room room{.poses = walk(24)};
-  for (const double by : {0.001, 1000.0}) {
-    room.spoiled = [by](int, FrameBuffer& f) {
-      for (float& d : f.depth_m) d = static_cast<float>(d * by);
+TEST(GeometrySurvey, DepthOfAnotherUnitIsTold) {
+  const Room room{.poses = walk(24)}, few{.poses = walk(5, 0.4 * M_PI)};  // few: from around a room, far apart
+  expect_quiet(ask(few), "poses agree with depth");
+  const auto scaled = [](double by) { return [by](float z) { return static_cast<float>(z * by); }; };
+  const std::string millimetres = "depth in metres was read as millimetres",
+                    thousand = "--set scene.load.depth_scale=1000 ";
+  const struct {
+    Room room;
+    std::function<float(float)> depth;
+    std::vector<std::string> said;
+    double depth_scale;  // that corrects it; 0: of which that is not asked
+  } rows[] = {{room, scaled(0.001), {millimetres, "add " + thousand}, 1000},
+              {room,
+               scaled(1000),
+               {"depth in millimetres was read as metres", "add --set scene.load.depth_scale=0.001 "},
+               0.001},
+              {room, [](float z) { return 0.001f * std::round(z); }, {millimetres, "add " + thousand}, 0},
+              {room,
+               scaled(5),
+               {"depth is 5 times too large for the camera centres", "add --set scene.load.depth_scale=0.2 "},
+               0},
+              {few, scaled(6.5535), {"6.5535 times"}, 0},
+              {few, scaled(1000), {"millimetres"}, 0},
+              {few, scaled(4), {"4 times"}, 0},
+              {few, scaled(3.3), {}, 0}};
+  for (const auto& row : rows) {
+    Room written = row.room;
+    written.spoiled = [&](int, FrameBuffer& f) {
+      std::transform(f.depth_m.begin(), f.depth_m.end(), f.depth_m.begin(), row.depth);
     };
-    const Answer a = ask(room);
-    EXPECT_HAS(a.error, by < 1 ? "depth in metres was read as millimetres" : "depth in millimetres was read as metres")
-        << a.error << a.geometry;
-    EXPECT_HAS(a.error, by < 1 ? "add --set scene.load.depth_scale=1000 " : "add --set scene.load.depth_scale=0.001 ");
-    SceneLoadOptions fixed{.convention = {.depth_scale = 1 / by}};
-    expect_quiet(ask(room, fixed), "poses agree with depth");
+    const Answer a = ask(written);
+    for (const std::string& part : row.said) EXPECT_HAS(a.error, part) << a.error << a.geometry;
+    if (row.said.empty()) expect_quiet(a, "could not be checked: few frames, far apart");
+    if (row.depth_scale > 0)
+      expect_quiet(ask(written, {.convention = {.depth_scale = row.depth_scale}}), "poses agree with depth");
   }
-  room.spoiled = [](int, FrameBuffer&) {};
-  room.written = [](const Pose& p) { return times(p, 1000); };
-  EXPECT_HAS(ask(room).error, "camera centres are in millimetres where depth is in metres");
-}
-
-// Five views from around a room, a fifth of a turn apart.
-TEST(GeometrySurvey, DepthOfAnotherUnitIsToldOfFewFrames) {
-  Room room{.poses = walk(5, 0.4 * M_PI)};
-  expect_quiet(ask(room), "poses agree with depth");
-  for (const auto& [scale, named] : {std::pair{6.5535, "6.5535 times"}, {1000.0, "millimetres"}, {4.0, "4 times"}}) {
-    room.spoiled = [by = scale](int, FrameBuffer& f) {
-      for (float& z : f.depth_m) z *= static_cast<float>(by);
-    };
-    EXPECT_HAS(ask(room).error, named);
-  }
-  room.spoiled = [](int, FrameBuffer& f) {
-    for (float& z : f.depth_m) z *= 3.3f;
-  };
-  expect_quiet(ask(room), "could not be checked: few frames, far apart");
-}
-
-TEST(GeometrySurvey, DepthInWholeMetresAndInStepsOfOtherSensorsIsTold) {
-  Room room{.poses = walk(24)};
-  room.spoiled = [](int, FrameBuffer& f) {
-    for (float& d : f.depth_m) d = 0.001f * std::round(d);
-  };
-  const std::string metres = ask(room).error;
-  EXPECT_HAS(metres, "depth in metres was read as millimetres", "add --set scene.load.depth_scale=1000 ");
-  room.spoiled = [](int, FrameBuffer& f) {
-    for (float& d : f.depth_m) d *= 5;
-  };
-  const std::string fifths = ask(room).error;
-  EXPECT_HAS(fifths, "depth is 5 times too large for the camera centres", "add --set scene.load.depth_scale=0.2 ");
+  Room far = room;
+  far.written = [](const Pose& p) { return times(p, 1000); };
+  EXPECT_HAS(ask(far).error, "camera centres are in millimetres where depth is in metres");
 }
 
 TEST(GeometrySurvey, AMendThatIsNotNeededIsTakenBack) {

@@ -44,14 +44,12 @@ PrepareState::PrepareState(std::string file, std::string identity)
                 "name another folder with --out, or remove this one");
   }
   for (const auto& [step, found] : root["steps"].items())
-    steps_.emplace_back(step, found.is_string() ? found.get<std::string>() : "");
+    steps_[step] = found.is_string() ? found.get<std::string>() : "";
 }
 
 const std::string* PrepareState::done(const std::string& step) const {
-  for (const auto& [name, found] : steps_) {
-    if (name == step) return &found;
-  }
-  return nullptr;
+  const auto found = steps_.find(step);
+  return found == steps_.end() ? nullptr : &found->second;
 }
 
 std::vector<std::string> PrepareState::lines(const std::string& step) const {
@@ -63,21 +61,18 @@ std::vector<std::string> PrepareState::lines(const std::string& step) const {
 }
 
 void PrepareState::mark(const std::string& step, const std::string& found) {
-  std::erase_if(steps_, [&](const auto& one) { return one.first == step; });
-  steps_.emplace_back(step, found);
+  steps_[step] = found;
   write();
 }
 
 void PrepareState::forget(const std::string& step) {
-  if (std::erase_if(steps_, [&](const auto& one) { return one.first == step; }) > 0) write();
+  if (steps_.erase(step) > 0) write();
 }
 
 void PrepareState::write() const {
-  Json steps = Json::object();
-  for (const auto& [step, found] : steps_) steps[step] = found;
   write_file_atomic(
       file_,
-      Json{{"made_from", identity_}, {"steps", steps}}.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+      Json{{"made_from", identity_}, {"steps", steps_}}.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prepare") {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -33,7 +34,7 @@ class PrepareState {
  private:
   void write() const;
   std::string file_, identity_;
-  std::vector<std::pair<std::string, std::string>> steps_;
+  std::map<std::string, std::string> steps_;  // what each found
 };
 
 /// The folder of a scene that is being prepared: scene/prepare/ with its steps, logs and work. Held for as long as this
