@@ -2,7 +2,7 @@
 // contradicts the scene: tests/bad_files/scenes.cases.
 
 #include <algorithm>
-#include <sstream>
+#include <string>
 
 #include "loading/frame_source.h"
 #include "scene/scene.h"
@@ -293,41 +293,6 @@ TEST(LoadScene, SameForAnyNumberOfThreads) {
   EXPECT_EQ(a.far_m, b.far_m);
   EXPECT_EQ(a.pixel_footprint_m, b.pixel_footprint_m);
   for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(a.frames[i].rgb, b.frames[i].rgb);
-}
-
-// The text of `severity` about `key`, "" when there is none.
-std::string said(const Diagnostics& d, Severity severity, const std::string& key) {
-  for (const Diagnostic& x : d.all()) {
-    if (x.severity == severity && x.where == key) return x.text();
-  }
-  return {};
-}
-
-TEST(LoadScene, BoundsBesideTheViewAreRefusedWithTheBoxThatTheDataSuggest) {
-  RoomDataset room;
-  SceneLoadOptions o{.bounds = {20, 20, 20, 21, 21, 21}};
-  Diagnostics d;
-  (void)load_scene(room, o, d);
-  const std::string text = said(d, Severity::error, "scene.load.bounds");
-  EXPECT_EQ(text.find("scene.load.bounds: none of the rays of the training cameras can meet the bounds "
-                      "[20,20,20,21,21,21] (from the configuration); the data suggest --set 'scene.load.bounds=["),
-            0u)
-      << text;
-  // The box that is named works.
-  const std::size_t at = text.find("bounds=[") + 8;
-  o.bounds.clear();
-  std::stringstream numbers(text.substr(at, text.find(']', at) - at));
-  for (std::string value; std::getline(numbers, value, ',');) o.bounds.push_back(std::stod(value));
-  ASSERT_EQ(o.bounds.size(), 6u);
-  Diagnostics again;
-  const LoadedScene s = load_scene(room, o, again);
-  EXPECT_FALSE(again.has_errors());
-  EXPECT_NEAR(s.bounds.hi.x, 2, 0.2);
-  o.bounds = {20, 20, 20, 21, 21, 21};
-  o.check_geometry = false;
-  Diagnostics unchecked;
-  (void)load_scene(room, o, unchecked);
-  EXPECT_FALSE(unchecked.has_errors());
 }
 
 TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {
