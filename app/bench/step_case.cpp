@@ -205,7 +205,7 @@ double StepCase::render_seconds(std::int64_t rays) {
     job.entropy = {entropy.data(), rays, 1};
   }
   const auto begin = std::chrono::steady_clock::now();
-  session_.pipeline->render(job);
+  session_.pipeline->executor().render(job);
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 }
 

@@ -15,7 +15,7 @@
 #include "cuda/store.h"
 #include "execution/device_library.h"
 #include "execution/pipeline.h"
-#include "execution/point_network.h"
+#include "execution/lane_executor.h"
 
 namespace semfield::cuda {
 

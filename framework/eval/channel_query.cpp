@@ -12,7 +12,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "execution/point_network.h"
+#include "execution/lane_executor.h"
 #include "formats/npz.h"
 #include "system/files.h"
 

@@ -158,7 +158,7 @@ RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, c
     for (FrameChannel& one : frame.channels)
       job.heads.set(one.name, {one.values.data() + begin * one.cols, count, one.cols});
     try {
-      pipeline.render(job);
+      pipeline.executor().render(job);
     } catch (const RayFault& fault) {
       const auto [column, row] = strided_place(begin + fault.ray(), frame.width_px, options.stride);
       throw Error(fault.kind(), fault.code(), fmt::format("pixel x {}, y {}: {}", column, row, fault.message()),

@@ -126,10 +126,12 @@ class Executor {
   /// From the next step on; null: none. Not while steps are queued.
   virtual void set_gradient_hook(GradientHook<Real> hook) = 0;
 
-  /// As Pipeline::render and Pipeline::density.
+  /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
   virtual void render(const RenderJob<Real>& job) = 0;
+  /// sigma [N, 1] of the last pass, after activation, 1/m, at world positions [N, 3]; the same bits for any grouping of
+  /// positions into calls. Not beside another call.
   virtual void density(View<const double> positions, View<Real> sigma) = 0;
-  /// The semantic part at points (execution/point_network.h), which lives as long as the executor.
+  /// The semantic part at points (execution/lane_executor.h), which lives as long as the executor.
   virtual PointNetwork<Real>& points() {
     throw Error(ErrorKind::internal, "internal.executor.points", "this executor has no network at points");
   }

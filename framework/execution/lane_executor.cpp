@@ -13,6 +13,7 @@
 
 #include "compute/isa.h"
 #include "compute/math_functions.h"
+#include "compute/parallel.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/optim/adam.h"
 #include "scene/classes/class_table.h"
@@ -146,6 +147,18 @@ void grow(std::vector<T>& buffer, std::int64_t size) {
 template <class T>
 std::size_t allocated_bytes(const std::vector<T>& buffer) {
   return buffer.capacity() * sizeof(T);
+}
+
+constexpr std::int64_t kPointUnit = 1024;  // points of a unit of work; results do not depend on it
+constexpr std::int64_t kPointTile = 64;    // points of a batch that one lane takes
+
+// body(arena, begin, count) for units of the points.
+template <class Body>
+void for_points(ThreadArenas& arenas, std::int64_t points, const Body& body) {
+  arenas.for_units((points + kPointUnit - 1) / kPointUnit, [&](Workspace& arena, std::int64_t unit) {
+    const Workspace::Scope taken(arena);
+    body(arena, unit * kPointUnit, std::min(kPointUnit, points - unit * kPointUnit));
+  });
 }
 
 }  // namespace
@@ -522,9 +535,6 @@ void LaneRanks<Real>::sum_lanes(ParamStore<Real>& store) {
   if (rank < last) each(0, pieces, unpack);
 }
 
-template class LaneRanks<float>;
-template class LaneRanks<double>;
-
 // Which ray or tensor is behind a step that failed.
 
 template <class Real>
@@ -710,7 +720,147 @@ void LaneExecutor<Real>::gather(std::size_t p) {
   });
 }
 
-template class LaneExecutor<float>;
-template class LaneExecutor<double>;
+// At points of space.
+
+template <class Real>
+void query_points(Pipeline<Real>& pipeline, const PointQuery<Real>& query) {
+  const WorkScope scope(pipeline.options().work);
+  const ComputeFloatMode mode;
+  const Pass<Real>& pass = pipeline.passes().back();
+  if (!query.sigma.empty()) pipeline.lanes().density(query.position, query.sigma);
+  if (query.color.empty() && query.logits.empty()) return;
+  ThreadArenas arenas;
+  for_points(arenas, query.position.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
+    const StepContext ctx{.seed = pipeline.options().seed, .pass = pass.parts().number, .workspace = &arena};
+    const View<const double> places = query.position.row_range(begin, count);
+    if (!query.color.empty())
+      pass.point_colors(ctx, places, query.direction.row_range(begin, count), query.color.row_range(begin, count));
+    if (!query.logits.empty()) {
+      const View<Real> rows = arena.take<Real>(count, pass.point_dims());
+      pass.point_rows(ctx, places, rows);
+      pass.point_forward(ctx, 0, rows, query.logits.row_range(begin, count));
+    }
+  });
+}
+
+template <class Real>
+std::vector<Tensor<Real>*> semantic_tensors(ParamStore<Real>& store) {
+  std::vector<Tensor<Real>*> tensors;
+  for (Tensor<Real>& tensor : store.all())
+    if (tensor.rule.semantic && tensor.grad.size() > 0) tensors.push_back(&tensor);
+  return tensors;
+}
+
+template <class Real>
+StepContext LanePoints<Real>::context(std::int64_t step, bool training, Workspace& arena) const {
+  return {.seed = pipeline_.options().seed,
+          .step = step,
+          .training = training,
+          .pass = pass().parts().number,
+          .workspace = &arena};
+}
+
+template <class Real>
+void LanePoints<Real>::rows(View<const double> positions, View<Real> rows) {
+  const WorkScope scope(pipeline_.options().work);
+  const ComputeFloatMode mode;
+  for_points(arenas_, positions.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
+    pass().point_rows(context(0, false, arena), positions.row_range(begin, count), rows.row_range(begin, count));
+  });
+}
+
+template <class Real>
+void LanePoints<Real>::logits(View<const Real> rows, View<Real> logits) {
+  const WorkScope scope(pipeline_.options().work);
+  const ComputeFloatMode mode;
+  for_points(arenas_, rows.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
+    (void)pass().point_forward(context(0, false, arena), kMainGradient, rows.row_range(begin, count),
+                               logits.row_range(begin, count));
+  });
+}
+
+template <class Real>
+void LanePoints<Real>::gradients(std::int64_t step, View<const Real> input, View<const std::int16_t> logit,
+                                 const std::vector<Tensor<Real>*>& tensors) {
+  const std::int64_t rows = input.rows;
+  const std::int64_t tiles = (rows + kPointTile - 1) / kPointTile;
+  const std::int32_t classes = pass().parts().head->width();
+  const int lanes = static_cast<int>(std::min<std::int64_t>(pipeline_.store().lanes(), tiles));
+  arenas_.for_units(lanes, [&](Workspace& arena, std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += lanes) {
+      const std::int64_t begin = tile * kPointTile, count = std::min(kPointTile, rows - begin);
+      const Workspace::Scope taken(arena);
+      StepContext ctx = context(step, true, arena);
+      ctx.first_ray = begin;
+      const View<Real> logits = arena.take<Real>(count, classes), d_logits = arena.take<Real>(count, classes);
+      const PointTrace<Real> trace =
+          pass().point_forward(ctx, static_cast<int>(lane), input.row_range(begin, count), logits);
+      SemanticTargets targets;
+      targets.hard = logit.row_range(begin, count);
+      semantic_cross_entropy<Real>(logits, targets, {}, static_cast<double>(rows), 1, d_logits, begin);
+      pass().point_backward(ctx, static_cast<int>(lane), trace, d_logits);
+    }
+  });
+  for (Tensor<Real>* tensor : tensors) {  // in lane order
+    const auto size = static_cast<std::size_t>(tensor->size());
+    for (int lane = 0; lane < lanes; ++lane) {
+      Real* const from = tensor->lanes.data() + static_cast<std::size_t>(lane) * size;
+      for (std::size_t i = 0; i < size; ++i) tensor->grad.data()[i] += from[i];
+      std::fill_n(from, size, Real(0));
+    }
+  }
+}
+
+template <class Real>
+void LanePoints<Real>::learn(const PointLessons<Real>& lessons) {
+  const WorkScope scope(pipeline_.options().work);
+  const ComputeFloatMode mode;
+  const std::vector<Tensor<Real>*> tensors = semantic_tensors(pipeline_.store());
+  const auto clear = [](const AlignedBuffer<Real>& buffer) { std::fill_n(buffer.data(), buffer.size(), Real(0)); };
+  for (const Tensor<Real>* tensor : tensors) clear(tensor->grad);  // of the last step of training
+  std::int64_t step = 0;
+  std::vector<Real> rows(static_cast<std::size_t>(lessons.batch * lessons.rows.cols));
+  std::vector<std::int16_t> logit(static_cast<std::size_t>(lessons.batch));
+  for (AdamStep update : lessons.updates) {
+    const StepContext ctx = context(step, true, arenas_.own());
+    pass().derive(ctx);
+    for (std::int64_t b = 0; b < lessons.batch; ++b) {
+      const std::int32_t point = lessons.choice[static_cast<std::size_t>(step * lessons.batch + b)];
+      std::copy_n(lessons.rows.row(point), lessons.rows.cols, rows.data() + b * lessons.rows.cols);
+      logit[static_cast<std::size_t>(b)] = lessons.logit[static_cast<std::size_t>(point)];
+    }
+    gradients(step, {rows.data(), lessons.batch, lessons.rows.cols}, {logit.data(), lessons.batch, 1}, tensors);
+    pass().derive_backward(ctx);
+    for (const Tensor<Real>* tensor : tensors) {
+      if (tensor->learned()) {
+        update.decay = tensor->spec.rows > 1 ? update.learning_rate * lessons.weight_decay : 0;
+        adam_dense<Real>(update, tensor->view(tensor->value), tensor->view(tensor->grad), tensor->view(tensor->moment1),
+                         tensor->view(tensor->moment2), 0, tensor->spec.rows);
+      }
+      clear(tensor->grad);
+    }
+    ++step;
+  }
+  for (const Tensor<Real>* tensor : tensors) {
+    clear(tensor->moment1);
+    clear(tensor->moment2);
+  }
+  pass().derive(context(step, true, arenas_.own()));
+}
+
+template <class Real>
+void LanePoints<Real>::write() {
+  pass().derive(context(0, true, arenas_.own()));
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                      \
+  template class LaneRanks<Real>;                                                       \
+  template class LaneExecutor<Real>;                                                    \
+  template void query_points<Real>(Pipeline<Real>&, const PointQuery<Real>&);           \
+  template std::vector<Tensor<Real>*> semantic_tensors<Real>(ParamStore<Real> & store); \
+  template class LanePoints<Real>;
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
 
 }  // namespace semfield

@@ -21,16 +21,6 @@ constexpr std::int64_t kLaneNumbers = std::int64_t{64} << 20;  // of all lanes o
 // Samples of a lane at least: to add a parameter's lane and to clear it takes as long as some ten samples do.
 constexpr std::int64_t kLaneRows = 512;
 
-/// Samples a ray that tiles are made for.
-template <class Real>
-std::int64_t expected_samples(const std::vector<const PassParts<Real>*>& passes,
-                              const std::vector<std::int64_t>& per_ray) {
-  const std::int64_t most = passes.back()->sampler->traits().single_pass
-                                ? std::min(per_ray.back(), kExpectedOccupied)
-                                : *std::max_element(per_ray.begin(), per_ray.end());
-  return std::max<std::int64_t>(most, 1);
-}
-
 /// Numbers of a gradient lane.
 template <class Real>
 std::int64_t lane_numbers(const PassParts<Real>& parts) {
@@ -48,35 +38,47 @@ std::int64_t lane_numbers(const PassParts<Real>& parts) {
   return sum;
 }
 
-/// Rays per tile: `options.tile_rays`, or what the samplers' capacities ask for. `per_ray` gets the most samples per
-/// ray after each pass.
+/// Most samples per ray after each pass.
 template <class Real>
-std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
-                          std::vector<std::int64_t>& per_ray) {
-  per_ray.clear();
-  for (const PassParts<Real>* parts : passes)
-    per_ray.push_back(parts->sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
-  if (options.tile_rays > 0) return options.tile_rays;
-  return std::clamp<std::int64_t>(kTileRows / expected_samples(passes, per_ray), 4, 64);
+std::vector<std::int64_t> samples_per_ray(const std::vector<PassParts<Real>>& passes) {
+  std::vector<std::int64_t> per_ray;
+  for (const PassParts<Real>& parts : passes)
+    per_ray.push_back(parts.sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
+  return per_ray;
 }
 
 }  // namespace
 
 template <class Real>
-Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
-    : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
+PipelineOptions settled(PipelineOptions options, const std::vector<PassParts<Real>>& passes) {
   SEMFIELD_CHECK(!passes.empty(), "a pipeline needs a pass");
-  SEMFIELD_CHECK(options_.lanes > 0, "lanes_of has chosen their number");
-  std::vector<const PassParts<Real>*> parts_of;
+  const std::vector<std::int64_t> per_ray = samples_per_ray(passes);
+  const std::int64_t most = passes.back().sampler->traits().single_pass
+                                ? std::min(per_ray.back(), kExpectedOccupied)
+                                : *std::max_element(per_ray.begin(), per_ray.end());
+  const std::int64_t expected = std::max<std::int64_t>(most, 1);  // samples of a ray
+  if (options.tile_rays == 0) options.tile_rays = std::clamp<std::int64_t>(kTileRows / expected, 4, 64);
+  if (options.lanes > 0) return options;
+  const std::int64_t tiles = (options.rays + options.tile_rays - 1) / options.tile_rays;
+  std::int64_t numbers = 0;
+  for (const PassParts<Real>& parts : passes) numbers += lane_numbers(parts);
+  const std::int64_t in_memory = kLaneNumbers / std::max<std::int64_t>(numbers, 1);
+  std::int64_t lanes = std::min({kMostLanes, in_memory, options.rays * expected / kLaneRows});
+  if (lanes < tiles && lanes > kEvenLanes) lanes -= lanes % kEvenLanes;
+  options.lanes = static_cast<int>(std::clamp<std::int64_t>(lanes, 1, tiles));
+  return options;
+}
+
+template <class Real>
+Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
+    : per_ray_(samples_per_ray(passes)),
+      options_(settled(std::move(options), passes)),
+      store_(options_.seed, options_.lanes, trainable) {
   passes_.reserve(passes.size());
   store_.freeze(options_.cameras.alone);
-  for (PassParts<Real>& parts : passes) {
-    passes_.emplace_back(std::move(parts), options_.rules, store_);
-    parts_of.push_back(&passes_.back().parts());
-  }
+  for (PassParts<Real>& parts : passes) passes_.emplace_back(std::move(parts), options_.rules, store_);
   store_.freeze(false);
   if (trainable && options_.cameras.any()) cameras_.emplace(options_.cameras, *passes_.front().parts().stages, store_);
-  tile_rays_ = tile_rays_of(parts_of, options_, per_ray_);
   lanes_ = std::make_unique<LaneExecutor<Real>>(*this);
   executor_ = lanes_.get();
   derive(0);
@@ -133,44 +135,9 @@ StepLosses Pipeline<Real>::means_of(const StepLosses& sums, const BatchScales& s
   return mean;
 }
 
-template <class Real>
-void Pipeline<Real>::render(const RenderJob<Real>& job) {
-  executor_->render(job);
-}
-
-template <class Real>
-void Pipeline<Real>::density(View<const double> positions, View<Real> sigma) const {
-  executor_->density(positions, sigma);
-}
-
-template <class Real>
-StepLosses Pipeline<Real>::gradients(std::int64_t step, const RayBatch& batch) {
-  return lanes_->gradients(step, batch);
-}
-
-template <class Real>
-std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayBatch& batch) {
-  return lanes_->find_fault(step, batch);
-}
-
 template class Pipeline<float>;
 template class Pipeline<double>;
-
-template <class Real>
-int lanes_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options, std::int64_t rays) {
-  if (options.lanes > 0) return options.lanes;
-  std::vector<std::int64_t> per_ray;
-  const std::int64_t tile_rays = tile_rays_of(passes, options, per_ray);
-  const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
-  std::int64_t numbers = 0;
-  for (const PassParts<Real>* parts : passes) numbers += lane_numbers(*parts);
-  const std::int64_t in_memory = kLaneNumbers / std::max<std::int64_t>(numbers, 1);
-  std::int64_t lanes = std::min({kMostLanes, in_memory, rays * expected_samples(passes, per_ray) / kLaneRows});
-  if (lanes < tiles && lanes > kEvenLanes) lanes -= lanes % kEvenLanes;
-  return static_cast<int>(std::clamp<std::int64_t>(lanes, 1, tiles));
-}
-
-template int lanes_of<float>(const std::vector<const PassParts<float>*>&, const PipelineOptions&, std::int64_t);
-template int lanes_of<double>(const std::vector<const PassParts<double>*>&, const PipelineOptions&, std::int64_t);
+template PipelineOptions settled<float>(PipelineOptions, const std::vector<PassParts<float>>&);
+template PipelineOptions settled<double>(PipelineOptions, const std::vector<PassParts<double>>&);
 
 }  // namespace semfield

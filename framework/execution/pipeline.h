@@ -19,7 +19,10 @@ namespace semfield {
 struct PipelineOptions {
   RenderRules rules;
   std::uint64_t seed = 1;
-  int lanes = 8;                    ///< gradient slots; the sum's order, so part of a run's identity. See lanes_of
+  std::int64_t rays = 0;  ///< of a step
+  /// Gradient slots; the sum's order, so part of a run's identity. 0: what steps of so many rays have work for, never
+  /// from the thread count.
+  int lanes = 8;
   std::int64_t tile_rays = 0;       ///< 0: from the samplers' capacities, never from the thread count
   std::vector<float> class_weight;  ///< [C] or empty
   LossList losses;                  ///< terms beside colour and semantics
@@ -50,11 +53,12 @@ class Pipeline {
   ParamStore<Real>& store() { return store_; }
   const ParamStore<Real>& store() const { return store_; }
   const std::vector<Pass<Real>>& passes() const { return passes_; }
+  /// With the numbers of lanes and of a tile's rays.
   const PipelineOptions& options() const { return options_; }
   /// Most samples per ray after each pass.
   const std::vector<std::int64_t>& per_ray() const { return per_ray_; }
   /// Of the CPU's lanes.
-  std::int64_t tile_rays() const { return tile_rays_; }
+  std::int64_t tile_rays() const { return options_.tile_rays; }
   /// Of training; null where nothing is corrected.
   const CameraCorrections<Real>* cameras() const { return cameras_ ? &*cameras_ : nullptr; }
   bool has_semantics() const { return passes_.back().parts().head != nullptr; }
@@ -68,31 +72,20 @@ class Pipeline {
   BatchScales scales_of(const RayBatch& batch) const;
   /// Means and total of a batch's sums.
   StepLosses means_of(const StepLosses& sums, const BatchScales& scales) const;
-  /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
-  void render(const RenderJob<Real>& job);
-  /// sigma [N, 1] of the last pass, after activation, 1/m, at world positions [N, 3]; the same bits for any grouping of
-  /// positions into calls. Not beside another call.
-  void density(View<const double> positions, View<Real> sigma) const;
-
-  /// LaneExecutor::gradients and find_fault.
-  StepLosses gradients(std::int64_t step, const RayBatch& batch);
-  std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
 
  private:
+  std::vector<std::int64_t> per_ray_;
   PipelineOptions options_;
   ParamStore<Real> store_;
   std::vector<Pass<Real>> passes_;
   std::optional<CameraCorrections<Real>> cameras_;
-  std::vector<std::int64_t> per_ray_;
-  std::int64_t tile_rays_ = 0;
   std::unique_ptr<LaneExecutor<Real>> lanes_;
   std::unique_ptr<Executor<Real>> other_;  // than the lanes
   Executor<Real>* executor_ = nullptr;
 };
 
-/// Gradient slots for steps of `rays` rays: `options.lanes`, or what such a step has work for. Never from the thread
-/// count, because they are the order of its sums.
+/// The options with the tiles and lanes that they leave open.
 template <class Real>
-int lanes_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options, std::int64_t rays);
+PipelineOptions settled(PipelineOptions options, const std::vector<PassParts<Real>>& passes);
 
 }  // namespace semfield

@@ -275,7 +275,7 @@ SplatVolume::SplatVolume(const Pipeline<float>& pipeline, const VoxelGridPlace& 
       const Vec3d center = place.center(begin + i);
       for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = center[axis];
     }
-    pipeline.density({position.data(), count, 3}, {&density_[static_cast<std::size_t>(begin)], count, 1});
+    pipeline.executor().density({position.data(), count, 3}, {&density_[static_cast<std::size_t>(begin)], count, 1});
     for (std::int64_t i = 0; i < count && opaque; ++i) {
       bool inside = true;
       for (int axis = 0; axis < 3; ++axis) {

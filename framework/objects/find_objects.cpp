@@ -10,7 +10,7 @@
 
 #include "compute/parallel.h"
 #include "core/joined_sets.h"
-#include "execution/point_network.h"
+#include "execution/lane_executor.h"
 #include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
 #include "objects/object_set.h"

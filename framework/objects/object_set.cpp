@@ -17,7 +17,7 @@
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "execution/point_network.h"
+#include "execution/lane_executor.h"
 #include "formats/safetensors.h"
 #include "system/checksum.h"
 #include "system/files.h"

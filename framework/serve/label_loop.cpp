@@ -17,7 +17,7 @@
 #include "core/check.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
-#include "execution/point_network.h"
+#include "execution/lane_executor.h"
 #include "serve/view_pictures.h"
 
 namespace semfield {

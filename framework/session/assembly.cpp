@@ -212,16 +212,7 @@ std::vector<PassParts<Real>> make_passes(const RunConfig& config, const Registry
   return passes;
 }
 
-template <class Real>
-std::vector<const PassParts<Real>*> pointers_to(const std::vector<PassParts<Real>>& passes) {
-  std::vector<const PassParts<Real>*> out;
-  for (const PassParts<Real>& pass : passes) out.push_back(&pass);
-  return out;
-}
-
-template <class Real>
-PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan, const SceneExtent& extent,
-                                 const std::vector<PassParts<Real>>& passes) {
+PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan, const SceneExtent& extent) {
   PipelineOptions options;
   options.rules.rendering = config.rendering;
   if (config.rendering.unit_m > 0) options.rules.unit_m = config.rendering.unit_m;
@@ -230,8 +221,8 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
   options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
   options.seed = config.runtime.seed;
   options.tile_rays = config.runtime.tile_rays;
+  options.rays = config.train.rays;
   options.lanes = config.runtime.lanes;
-  options.lanes = lanes_of<Real>(pointers_to(passes), options, config.train.rays);
   options.losses = LossList(config.losses);
   CameraRules& cameras = options.cameras;
   cameras.count = std::max(plan.learned_poses, plan.learned_colors);
@@ -380,7 +371,7 @@ NetworkParts<Real> make_parts(const RunConfig& config, const Registry& registry,
                               const SceneExtent& extent, std::unique_ptr<Sampler<Real>> last) {
   NetworkParts<Real> parts;
   parts.passes = make_passes<Real>(config, registry, plan, extent, Device::cpu, std::move(last));
-  parts.options = pipeline_options(config, plan, extent, parts.passes);
+  parts.options = settled(pipeline_options(config, plan, extent), parts.passes);
   parts.options.work.threads = config.runtime.threads;
   return parts;
 }

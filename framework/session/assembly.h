@@ -45,7 +45,7 @@ std::unique_ptr<Sampler<float>> make_last_sampler(const RunConfig& config, const
 template <class Real>
 struct NetworkParts {
   std::vector<PassParts<Real>> passes;
-  PipelineOptions options;  ///< without class weights; `lanes` is runtime.lanes, or where it is 0 what the run gets
+  PipelineOptions options;  ///< without class weights
 
   /// Whether a position encoder lives in the unit cube: rays must then be clipped to the bounds.
   bool needs_bounds() const;

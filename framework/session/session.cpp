@@ -216,14 +216,63 @@ std::vector<float> class_weights(const Session& s) {
   return inverse_log_frequency_weights(pixels);
 }
 
+// What rank 0 tells of where a session's network runs, behind its configuration and its manifest.
+struct Place {
+  DeviceId device;
+  bool trainable = true;
+};
+
+void broadcast(Ranks& ranks, Place& place) { ranks.broadcast(std::as_writable_bytes(std::span(&place, 1))); }
+
+void broadcast(Ranks& ranks, std::string& text) {
+  std::size_t size = text.size();
+  ranks.broadcast(std::as_writable_bytes(std::span(&size, 1)));
+  text.resize(size);
+  ranks.broadcast(std::as_writable_bytes(std::span(text)));
+}
+
+int cuda_devices() {
+  int count = 0;
+  while (cuda_available(nullptr, count)) ++count;
+  return count;
+}
+
+// Ranks of a host take its devices in turn, from the one that was asked for on.
+DeviceId device_of(const Ranks& ranks, DeviceId asked) {
+  if (asked.kind == Device::cpu) return asked;
+  const int count = cuda_devices();
+  if (count == 0) {
+    std::string why_not;
+    (void)cuda_available(&why_not, asked.ordinal);
+    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+                ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not, "set runtime.device: cpu");
+  }
+  return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
+}
+
+// Rank 0, once `session` has its plan and its pipeline on the CPU: the other ranks assemble the same network, and from
+// now on it runs on the device of all ranks that `how` names. Device `cuda` is a device for each rank of a host, in
+// turn. Throws what a rank could not do, with its name; the others then wait for another session.
+void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
+  std::string config = write_config(resolved_config(session.config));
+  std::string manifest = manifest_text({session.manifest, session.scene.pixel_footprint_m});
+  Place place{how.device, how.trainable};
+  broadcast(ranks, config);
+  broadcast(ranks, manifest);
+  broadcast(ranks, place);
+  agree(ranks, [&] { how.device = device_of(ranks, how.device); });
+  how.ranks = &ranks;
+  agree(ranks, [&] { run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline); });
+}
+
 // The network is built once, `last` in it; what else depends on its parts is asked of them.
 void build_session(Session& s, Registry& registry, const SessionOptions& options, RunOn how,
                    std::unique_ptr<Sampler<float>> last) {
   if (options.trainable) release_freed_memory();  // of reading, before the network is allocated
   NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent, std::move(last));
   s.limits.clip = !s.extent.contracted && parts.needs_bounds();
-  s.config.runtime.lanes = parts.options.lanes;  // derived, as the extent is
 
+  s.config.runtime.lanes = parts.options.lanes;  // derived, as the extent is
   s.pipeline = assemble(std::move(parts), class_weights(s), options.trainable);
   const bool has_axes = options.trainable && settle_axes(s);
   add_built_rows(built_parts(s, options.ranks), s.plan);
@@ -326,40 +375,6 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   s.scene = std::move(probe.scene);
   s.labels = std::move(probe.labels);
   if (seen) use_probed_extent(*seen, s.scene, s.config.load, diagnostics);
-}
-
-// What rank 0 tells of where a session's network runs, behind its configuration and its manifest.
-struct Place {
-  DeviceId device;
-  bool trainable = true;
-};
-
-void broadcast(Ranks& ranks, Place& place) { ranks.broadcast(std::as_writable_bytes(std::span(&place, 1))); }
-
-void broadcast(Ranks& ranks, std::string& text) {
-  std::size_t size = text.size();
-  ranks.broadcast(std::as_writable_bytes(std::span(&size, 1)));
-  text.resize(size);
-  ranks.broadcast(std::as_writable_bytes(std::span(text)));
-}
-
-int cuda_devices() {
-  int count = 0;
-  while (cuda_available(nullptr, count)) ++count;
-  return count;
-}
-
-// Ranks of a host take its devices in turn, from the one that was asked for on.
-DeviceId device_of(const Ranks& ranks, DeviceId asked) {
-  if (asked.kind == Device::cpu) return asked;
-  const int count = cuda_devices();
-  if (count == 0) {
-    std::string why_not;
-    (void)cuda_available(&why_not, asked.ordinal);
-    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
-                ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not, "set runtime.device: cpu");
-  }
-  return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
 }
 
 // The network of rank 0's session, without its scene.
@@ -577,18 +592,6 @@ std::string describe_session(const Session& s) {
   }
   for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
   return out;
-}
-
-void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
-  std::string config = write_config(resolved_config(session.config));
-  std::string manifest = manifest_text({session.manifest, session.scene.pixel_footprint_m});
-  Place place{how.device, how.trainable};
-  broadcast(ranks, config);
-  broadcast(ranks, manifest);
-  broadcast(ranks, place);
-  agree(ranks, [&] { how.device = device_of(ranks, how.device); });
-  how.ranks = &ranks;
-  agree(ranks, [&] { run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline); });
 }
 
 void follow(Ranks& ranks, Registry& registry) {

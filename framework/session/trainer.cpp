@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstring>
 #include <set>
+#include <tuple>
 
 #include "compute/isa.h"
 #include "core/error.h"
@@ -303,7 +304,7 @@ std::string Trainer::bad_tensor() const {
 
 // Throws what stopped the step, with the ray's frame and pixel and the tensor behind it.
 void Trainer::fail(const Error& error) {
-  const std::optional<RayFault> fault = pipeline().find_fault(step_, batch());
+  const std::optional<RayFault> fault = pipeline().lanes().find_fault(step_, batch());
   const Error& cause = fault ? *fault : error;
   std::string text = fmt::format("step {}: ", step_);
   const bool is_ray = dynamic_cast<const RayFault*>(&error) != nullptr;
@@ -368,6 +369,29 @@ void Trainer::require_drawn(int frame) const {
               "name one of Session::drawn_frames");
 }
 
+// paint(frame) gives each of the frames other labels. Where it or the ray source throws, all are again as they were.
+template <class Paint>
+void Trainer::replace_labels(std::span<const int> frames, const Paint& paint) {
+  const WorkScope scope(work_);
+  TrainingLabels& labels = session_.labels;
+  std::vector<std::pair<TrainingLabels::Frame, std::vector<std::int64_t>>> before;
+  try {
+    for (const int frame : frames) {
+      const auto f = static_cast<std::size_t>(frame);
+      before.emplace_back(std::move(labels.frames[f]), std::move(labels.class_pixels[f]));
+      paint(f);
+    }
+    rays_->relabel();
+  } catch (...) {
+    for (std::size_t i = before.size(); i-- > 0;) {
+      const auto f = static_cast<std::size_t>(frames[i]);
+      std::tie(labels.frames[f], labels.class_pixels[f]) = std::move(before[i]);
+    }
+    rays_->relabel();
+    throw;
+  }
+}
+
 void Trainer::set_labels(int frame, std::vector<std::int16_t> labels) {
   require_drawn(frame);
   const auto f = static_cast<std::size_t>(frame);
@@ -402,20 +426,12 @@ void Trainer::set_labels(int frame, std::vector<std::int16_t> labels) {
     }
     ++counts[static_cast<std::size_t>(label)];
   }
-  const WorkScope scope(work_);
   (void)inputs();  // of the labels that there were
-  TrainingLabels::Frame& own = session_.labels.frames[f];
-  TrainingLabels::Frame fresh;
-  fresh.hard = LabelMap(std::move(labels));
-  std::swap(own, fresh);
-  try {
-    rays_->relabel();
-  } catch (const Error&) {
-    std::swap(own, fresh);
-    rays_->relabel();
-    throw;
-  }
-  session_.labels.class_pixels[f] = std::move(counts);
+  replace_labels({&frame, 1}, [&](std::size_t own) {
+    session_.labels.frames[own] = {};
+    session_.labels.frames[own].hard = LabelMap(std::move(labels));
+    session_.labels.class_pixels[own] = std::move(counts);
+  });
   was_set_[f] = true;
 }
 
@@ -427,39 +443,16 @@ void Trainer::set_clicks(const Annotations& clicks, std::span<const int> frames)
                 "open it with scene.labels.clicks or .class_room, and apply events to a copy of config.labels.clicks");
   }
   for (const int frame : frames) require_drawn(frame);
-  const WorkScope scope(work_);
-  TrainingLabels& labels = session_.labels;
-  struct Before {
-    TrainingLabels::Frame frame;
-    std::vector<std::int64_t> counts;
-  };
-  std::vector<Before> before;
-  const auto swap_back = [&] {
-    for (std::size_t i = 0; i < before.size(); ++i) {
-      const auto f = static_cast<std::size_t>(frames[i]);
-      std::swap(labels.frames[f], before[i].frame);
-      std::swap(labels.class_pixels[f], before[i].counts);
+  const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
+  replace_labels(frames, [&](std::size_t f) {
+    paint_clicks(clicks, static_cast<int>(f), session_.labels);
+    const std::vector<std::int64_t>& counts = session_.labels.class_pixels[f];
+    for (std::size_t c = 0; c + 1 < counts.size(); ++c) {
+      if (counts[c] > 0 && logit_of_class[c] == kVoid)
+        throw no_logit(fmt::format("clicks in frame '{}'", session_.scene.info.frames[f].name),
+                       classes.valid(static_cast<int>(c)).name);
     }
-  };
-  try {
-    const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
-    for (const int frame : frames) {
-      const auto f = static_cast<std::size_t>(frame);
-      before.push_back({std::move(labels.frames[f]), std::move(labels.class_pixels[f])});
-      paint_clicks(clicks, frame, labels);
-      const std::vector<std::int64_t>& counts = labels.class_pixels[f];
-      for (std::size_t c = 0; c + 1 < counts.size(); ++c) {
-        if (counts[c] > 0 && logit_of_class[c] == kVoid)
-          throw no_logit(fmt::format("clicks in frame '{}'", session_.scene.info.frames[f].name),
-                         classes.valid(static_cast<int>(c)).name);
-      }
-    }
-    rays_->relabel();
-  } catch (...) {
-    swap_back();
-    rays_->relabel();
-    throw;
-  }
+  });
   for (const int frame : frames)
     was_set_[static_cast<std::size_t>(frame)] = session_.config.labels.selection.clicks.empty();
   session_.scene.info.classes = clicks.classes();

@@ -147,6 +147,8 @@ class Trainer : NonCopyable {
 
   std::string set_labels_name() const;
   void require_drawn(int frame) const;
+  template <class Paint>
+  void replace_labels(std::span<const int> frames, const Paint& paint);
 
   std::unique_ptr<Session> own_;  // null: borrowed
   Session& session_;

@@ -368,7 +368,7 @@ std::vector<float> surface_distances(Pipeline<float>& pipeline, const RayCamera&
     job.near_far = {near_far.data(), count, 2};
     job.depth = {distance.data() + begin, count, 1};
     job.opacity = {opacity.data(), count, 1};
-    pipeline.render(job);
+    pipeline.executor().render(job);
     for (std::int64_t i = 0; i < count; ++i) {
       const float met = opacity[static_cast<std::size_t>(i)];
       float& value = distance[static_cast<std::size_t>(begin + i)];

@@ -140,7 +140,7 @@ inline bool is_stale(const SurfaceMap& map, std::int64_t step) {
 inline constexpr float kSurfaceOpacity = 0.5F;
 
 /// Expected distance divided by opacity, at these pixels; 0 where opacity is below kSurfaceOpacity. Colours and labels
-/// are not computed. Throws as Pipeline::render.
+/// are not computed. Throws as Executor::render.
 std::vector<float> surface_distances(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
                                      std::span<const PixelPlace> pixels);
 

@@ -6,7 +6,7 @@
 #include "core/rng.h"
 #include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
-#include "execution/point_network.h"
+#include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/compositor.h"
 #include "session/trainer.h"

@@ -3,6 +3,7 @@
 #include <cstring>
 
 #include "eval/final_eval.h"
+#include "execution/lane_executor.h"
 #include "model/optim/adam.h"
 #include "model/stages.h"
 #include "run/run.h"
@@ -296,7 +297,7 @@ std::int64_t element_of(Subject& subject, const Tensor<float>& t, bool windowed 
   if (t.spec.role != TensorRole::sparse) return t.size() / 2;
   BatchBuffers batch;
   subject.trainer->rays().fill(subject.trainer->step(), batch);
-  subject.session.pipeline->gradients(subject.trainer->step(), batch.view(true));
+  subject.session.pipeline->lanes().gradients(subject.trainer->step(), batch.view(true));
   std::int64_t element = -1;
   for (std::int64_t i = 0; i < t.size() && element < 0; ++i) {
     const bool touched = t.grad.data()[i] != 0;
@@ -508,7 +509,7 @@ TEST(StageInjection, DensityAskedForByPosition) {
     std::vector<double> positions{0.1, 0.2, 0.3, -0.4, 0.5, 0.6, 0.7, 0.2, 0.1};
     std::vector<float> sigma(3);
     const std::string message = error_of([&] {
-      subject.session.pipeline->density({positions.data(), 3, 3}, {sigma.data(), 3, 1});
+      subject.session.pipeline->executor().density({positions.data(), 3, 3}, {sigma.data(), 3, 1});
     });
     EXPECT_HAS(message, "density at (") << bad.name;
   }
@@ -602,8 +603,8 @@ TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
       } else {
         batch.target[3 * 7 + 1] = static_cast<float>(bad);
       }
-      const std::string message = error_of([&] { subject.session.pipeline->gradients(1, view); });
-      const std::optional<RayFault> fault = subject.session.pipeline->find_fault(1, view);
+      const std::string message = error_of([&] { subject.session.pipeline->lanes().gradients(1, view); });
+      const std::optional<RayFault> fault = subject.session.pipeline->lanes().find_fault(1, view);
       EXPECT_HAS(message, "ray 7") << soft << ' ' << bad;
       EXPECT_TRUE(!soft || (fault && fault->ray() == 7));
     }

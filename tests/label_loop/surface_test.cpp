@@ -437,7 +437,7 @@ TEST_F(LearnedRoom, TheyAreThoseOfRendering) {
                        .near_far = {near_far.data(), count, 2},
                        .depth = {depth.data(), count, 1},
                        .opacity = {opacity.data(), count, 1}};
-  session_->pipeline->render(job);
+  session_->pipeline->executor().render(job);
   const std::vector<float> found = surface_distances(*session_->pipeline, from, session_->limits, pixels);
   for (std::size_t i = 0; i < pixels.size(); ++i)
     EXPECT_EQ(found[i], opacity[i] < kSurfaceOpacity ? 0 : depth[i] / opacity[i]);

@@ -52,8 +52,8 @@ void expect_twins_agree(const std::string& yaml) {
   const std::vector<double> points = random_points(session.extent.bounds, kCount);
   std::vector<float> sigma(kCount), again(kCount);
   std::vector<double> exact(kCount);
-  session.pipeline->density({points.data(), kCount, 3}, {sigma.data(), kCount, 1});
-  twin->density({points.data(), kCount, 3}, {exact.data(), kCount, 1});
+  session.pipeline->executor().density({points.data(), kCount, 3}, {sigma.data(), kCount, 1});
+  twin->executor().density({points.data(), kCount, 3}, {exact.data(), kCount, 1});
   double largest = 0, least = HUGE_VAL;
   for (std::size_t i = 0; i < kCount; ++i) {
     ASSERT_NEAR(sigma[i], exact[i], 1e-4 * std::max(1.0, exact[i])) << i;
@@ -66,7 +66,7 @@ void expect_twins_agree(const std::string& yaml) {
   set_thread_count(1);
   for (std::int64_t i = 0; i < kCount; i += 997) {
     const std::int64_t count = std::min<std::int64_t>(997, kCount - i);
-    session.pipeline->density({points.data() + 3 * i, count, 3}, {again.data() + i, count, 1});
+    session.pipeline->executor().density({points.data() + 3 * i, count, 3}, {again.data() + i, count, 1});
   }
   set_thread_count(threads);
   EXPECT_EQ(sigma, again);

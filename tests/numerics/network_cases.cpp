@@ -485,9 +485,9 @@ void hdr_target(CaseRun& run) {
     TrainingBox box(run.registry(), small_config());
     box.gradients(0);
     const RayBatch batch = box.batch().view(box.pipeline().has_semantics());
-    run.expect(!box.pipeline().find_fault(0, batch).has_value(), "a sound batch has no fault");
+    run.expect(!box.pipeline().lanes().find_fault(0, batch).has_value(), "a sound batch has no fault");
     box.batch().target[3 * 37 + 1] = bad;
-    const std::optional<RayFault> fault = box.pipeline().find_fault(0, batch);
+    const std::optional<RayFault> fault = box.pipeline().lanes().find_fault(0, batch);
     run.expect(fault.has_value() && fault->ray() == 37, "the ray of a bad target is found");
   }
 }

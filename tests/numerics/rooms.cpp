@@ -125,7 +125,7 @@ TrainingBox::~TrainingBox() = default;
 StepLosses TrainingBox::gradients(std::int64_t step) {
   trainer_.rays().fill(step, batch_);
   pipeline().store().zero_gradients();
-  return pipeline().gradients(step, batch_.view(pipeline().has_semantics()));
+  return pipeline().lanes().gradients(step, batch_.view(pipeline().has_semantics()));
 }
 
 std::vector<TrainingBox::Kept> TrainingBox::state() {

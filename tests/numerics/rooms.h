@@ -3,6 +3,7 @@
 
 #include "compute/parallel.h"
 #include "core/non_copyable.h"
+#include "execution/lane_executor.h"
 #include "plugin/registry.h"
 #include "session/session.h"
 #include "session/trainer.h"

@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <iostream>
 
+#include "execution/lane_executor.h"
 #include "plugin/loader.h"
 #include "rooms.h"
 #include "session/trainer.h"
@@ -19,7 +20,7 @@ void print_step(Pipeline<Real>& pipeline, const RaySource& rays) {
   rays.fill(0, batch);
   pipeline.store().zero_gradients();
   pipeline.derive(0);
-  const StepLosses losses = pipeline.gradients(0, batch.view(pipeline.has_semantics()));
+  const StepLosses losses = pipeline.lanes().gradients(0, batch.view(pipeline.has_semantics()));
   long double squares = 0;
   for (const Tensor<Real>& t : pipeline.store().all()) {
     if (!t.learned()) continue;

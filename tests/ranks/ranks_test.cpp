@@ -228,7 +228,7 @@ TEST(RanksSession, DensitiesAreThoseOfOneProcess) {
   for (int i = 0; i < 1000; ++i) positions.insert(positions.end(), {0.001 * i, 0.4, 0.5 - 0.0007 * i});
   const auto densities_of = [&](const Session& s) {
     std::vector<float> sigma(positions.size() / 3);
-    s.pipeline->density({positions.data(), std::ssize(sigma), 3}, {sigma.data(), std::ssize(sigma), 1});
+    s.pipeline->executor().density({positions.data(), std::ssize(sigma), 3}, {sigma.data(), std::ssize(sigma), 1});
     return sigma;
   };
   const std::vector<float> expected = densities_of(open_text(hash_config()));
@@ -286,9 +286,9 @@ TEST(RanksSession, RaysThatCannotBeRenderedAreAnErrorOfAllAndTheNextFrameIsSound
                          .near_far = {near_far.data(), 30, 2},
                          .color = {color.data(), 30, 3}};
     direction[3 * 25] = std::numeric_limits<double>::quiet_NaN();  // the last rank's
-    EXPECT_THROW(session.pipeline->render(job), Error);
+    EXPECT_THROW(session.pipeline->executor().render(job), Error);
     direction[3 * 25] = 1;
-    session.pipeline->render(job);
+    session.pipeline->executor().render(job);
     EXPECT_EQ(color[0], color[3 * 29]);
   });
 }

@@ -122,7 +122,7 @@ TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
     job.entropy = {others.data() + 4 * 500, 500, 1};
     job.confidence = {others.data() + 5 * 500, 500, 1};
     for (std::int64_t begin = 0; begin < 500; begin += chunk)
-      s.pipeline->render(job.rows(begin, std::min<std::int64_t>(chunk, 500 - begin)));
+      s.pipeline->executor().render(job.rows(begin, std::min<std::int64_t>(chunk, 500 - begin)));
     EXPECT_EQ(std::count(probability.begin(), probability.end(), -1.0F), 0);
     probability.insert(probability.end(), others.begin(), others.end());
     return probability;
@@ -151,10 +151,10 @@ TEST(Probability, AgreesWithTheOracleInDouble) {
   const std::size_t logits = s.plan.class_of_logit.size();
   std::vector<float> found;
   std::vector<double> wanted, entropy(300);
-  s.pipeline->render(rays.job(found, logits));
+  s.pipeline->executor().render(rays.job(found, logits));
   RenderJob<double> job = rays.job(wanted, logits);
   job.entropy = {entropy.data(), rays.count, 1};
-  oracle->render(job);
+  oracle->executor().render(job);
   double widest = 0, of_rows = 0;
   for (std::size_t i = 0; i < found.size(); ++i) {
     ASSERT_NEAR(found[i], wanted[i], 1e-4) << "ray " << i / logits << ", logit " << i % logits;

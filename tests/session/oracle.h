@@ -1,6 +1,7 @@
 // The whole pipeline in float64: its gradients against finite differences, and against those of another configuration.
 #pragma once
 
+#include "execution/lane_executor.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield::testing_train {
@@ -20,7 +21,7 @@ struct Oracle {
   StepLosses gradients() {
     for (Tensor<double>& t : pipeline->store().all()) std::fill_n(t.grad.data(), t.grad.size(), 0.0);
     pipeline->derive(3);
-    return pipeline->gradients(3, batch.view(pipeline->has_semantics()));
+    return pipeline->lanes().gradients(3, batch.view(pipeline->has_semantics()));
   }
 };
 

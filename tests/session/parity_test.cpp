@@ -6,7 +6,6 @@
 #include "core/rng.h"
 #include "eval/channel_query.h"
 #include "execution/lane_executor.h"
-#include "execution/point_network.h"
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"
 #include "session/settings/choices.h"
@@ -107,7 +106,7 @@ TEST(Parity, GradientsInBf16AreTheOraclesWithinItsPrecision) {
     Session rounded = open_text(yaml + "bf16}\n");
     ParamStore<float>& store = rounded.pipeline->store();
     rounded.pipeline->derive(3);
-    const StepLosses losses = rounded.pipeline->gradients(3, oracle.batch.view(true));
+    const StepLosses losses = rounded.pipeline->lanes().gradients(3, oracle.batch.view(true));
     EXPECT_GT(losses.labelled, 0);
     int compared = 0;
     for (const Tensor<double>& t : oracle.pipeline->store().all()) {
@@ -238,7 +237,7 @@ TEST(FieldPoints, AreWhatRaysAreMadeOf) {
                          .near_far = {near_far.data(), 1, 2},
                          .color = {rendered.data(), 1, 3},
                          .depth = {depth.data(), 1, 1}};
-    s.pipeline->render(job);
+    s.pipeline->executor().render(job);
     EXPECT_NEAR(depth[0], distance, 1e-3);
     for (int c = 0; c < 3; ++c) EXPECT_NEAR(rendered[c], color[c], 1e-3);
   }

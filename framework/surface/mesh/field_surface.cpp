@@ -51,7 +51,7 @@ Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& r
                                     static_cast<double>((begin + i) / grid.nx), static_cast<double>(z)});
         for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = p[axis];
       });
-      pipeline.density({position.data(), count, 3}, {sigma.data(), count, 1});
+      pipeline.executor().density({position.data(), count, 3}, {sigma.data(), count, 1});
       for_points(count, [&](std::int64_t i) {
         const auto density = static_cast<double>(sigma[static_cast<std::size_t>(i)]);
         values[static_cast<std::size_t>(begin + i)] = 1 - std::exp2(-density / request.level_per_m);
@@ -90,7 +90,7 @@ SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, c
   job.near_far = {near_far.data(), count, 2};
   job.depth = {depth.data(), count, 1};
   job.opacity = {opacity.data(), count, 1};
-  if (count > 0) pipeline.render(job);
+  if (count > 0) pipeline.executor().render(job);
   for (std::size_t r = 0; r < depth.size(); ++r) {
     if (!(opacity[r] >= 0.5F)) continue;
     lines.origin.push_back({origin[3 * r], origin[3 * r + 1], origin[3 * r + 2]});
@@ -119,7 +119,7 @@ double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& reque
   const auto compare = [&] {  // with the densities of the lines evaluated, which are then done
     sigma.resize(position.size() / 3);
     const auto points = std::ssize(sigma);
-    pipeline.density({position.data(), points, 3}, {sigma.data(), points, 1});
+    pipeline.executor().density({position.data(), points, 3}, {sigma.data(), points, 1});
     for (const Line& line : asked) {
       const std::span<const float> densities(sigma.data() + line.begin, line.end - line.begin);
       const double surface = lines.surface[line.number];
@@ -245,7 +245,7 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surf
         }
       }
     });
-    pipeline.render(rays.job(static_cast<std::int64_t>(first[count]), semantics));
+    pipeline.executor().render(rays.job(static_cast<std::int64_t>(first[count]), semantics));
     for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
       const auto i = static_cast<std::size_t>(at);
       std::array<double, 3> sum{};
