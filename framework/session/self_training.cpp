@@ -70,6 +70,9 @@ std::optional<std::int64_t> step_of_file(const std::string& name) {
   return status == std::errc{} && at == end ? std::optional(step) : std::nullopt;
 }
 
+// What a checkpoint says of the labels of a round, by the checksum of their tensors.
+std::string name_of_round(std::int64_t step, std::uint32_t crc) { return fmt::format("{} {:08x}", step, crc); }
+
 }  // namespace
 
 std::vector<std::int64_t> round_steps(const RunConfig& config) {
@@ -140,24 +143,25 @@ bool SelfTraining::make_round(std::int64_t step, const Hooks& hooks) {
   std::swap(labels_, labels);
   rounds_.push_back(round);
   try {
-    write(step);
+    named_ = write(step);
   } catch (...) {
     std::swap(labels_, labels);  // those that the source borrows are again in their place
     rounds_.pop_back();
     throw;
   }
   rays_.add_labels(labels_);
-  named_ = name_of_labels();
   return true;
 }
 
-void SelfTraining::write(std::int64_t step) const {
+std::string SelfTraining::write(std::int64_t step) const {
   const std::size_t bytes = index_bytes(session_.classes());
+  std::uint32_t crc = 0;
   std::vector<std::vector<std::uint8_t>> values(frames_.size());
   std::vector<TensorRef> tensors;
   for (std::size_t k = 0; k < frames_.size(); ++k) {
     const FrameInfo& info = session_.scene.info.frames[static_cast<std::size_t>(frames_[k])];
     values[k] = encode(labels_[k], pixels_of(info), bytes);
+    crc = crc32c(std::as_bytes(std::span(values[k])), crc);
     tensors.push_back(tensor_ref(tensor_name(k, info),
                                  {info.camera.height_px, info.camera.width_px, static_cast<std::int64_t>(bytes)},
                                  std::span<const std::uint8_t>(values[k])));
@@ -165,17 +169,7 @@ void SelfTraining::write(std::int64_t step) const {
   create_folders(folder_);
   write_safetensors(path_of(step), tensors,
                     {{"format", kSelfLabelsFormat}, {"step", std::to_string(step)}, {"rounds", rounds_json(rounds_)}});
-}
-
-std::string SelfTraining::name_of_labels() const {
-  std::uint32_t crc = 0;
-  const std::size_t bytes = index_bytes(session_.classes());
-  for (std::size_t k = 0; k < frames_.size(); ++k) {
-    const FrameInfo& info = session_.scene.info.frames[static_cast<std::size_t>(frames_[k])];
-    const std::vector<std::uint8_t> values = encode(labels_[k], pixels_of(info), bytes);
-    crc = crc32c(std::as_bytes(std::span(values)), crc);
-  }
-  return fmt::format("{} {:08x}", rounds_.back().step, crc);
+  return name_of_round(step, crc);
 }
 
 void SelfTraining::resume(std::int64_t step, const std::string& named) {
@@ -205,18 +199,20 @@ void SelfTraining::resume(std::int64_t step, const std::string& named) {
   std::vector<SelfTrainingRound> rounds = parse_rounds(text->second, path);
   if (rounds.empty() || rounds.back().step > step) refuse("it is of another step than its name says");
   const std::size_t bytes = index_bytes(session_.classes());
+  std::uint32_t crc = 0;
   std::vector<LabelMap> labels;
   for (std::size_t k = 0; k < frames_.size(); ++k) {
     const FrameInfo& info = session_.scene.info.frames[static_cast<std::size_t>(frames_[k])];
     const TensorRef* tensor = file.find(tensor_name(k, info));
     if (tensor == nullptr || tensor->type != TensorType::u8 || tensor->bytes.size() != pixels_of(info) * bytes)
       refuse(fmt::format("frame '{}' is missing, or of another size", info.name));
+    crc = crc32c(tensor->bytes, crc);
     labels.push_back(
         decode(tensor->bytes, bytes, session_.classes(), fmt::format("'{}', frame '{}'", path, info.name)));
   }
   labels_ = std::move(labels);
   rounds_ = std::move(rounds);
-  named_ = name_of_labels();
+  named_ = name_of_round(rounds_.back().step, crc);
   if (named_ != named) refuse("its labels are not those that the checkpoint was trained on");
   rays_.add_labels(labels_);
 }

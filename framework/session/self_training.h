@@ -49,8 +49,7 @@ class SelfTraining {
 
  private:
   std::string path_of(std::int64_t step) const;
-  std::string name_of_labels() const;
-  void write(std::int64_t step) const;
+  std::string write(std::int64_t step) const;
 
   const Session& session_;
   RaySource& rays_;
