@@ -14,8 +14,8 @@
 #include "cuda/steps/batch_drawer.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"
-#include "execution/pipeline.h"
 #include "execution/lane_executor.h"
+#include "execution/pipeline.h"
 
 namespace semfield::cuda {
 

@@ -179,28 +179,17 @@ const SceneInputs& Trainer::inputs() {
 
 // Steps.
 
+// Steps are queued one behind the other: drawn by the executor from the pixels that it holds, or given as batches.
 std::span<const StepLosses> Trainer::advance(std::int64_t most) {
   const WorkScope scope(work_);
   const ComputeFloatMode mode;
   const double start_s = clock_s();
   check_alive();
   hold_pixels();
-  make_steps(most);
-  train_s_ += clock_s() - start_s;
-  losses_ = made_.back();
-  settle_length();
-  if (listener_ == nullptr) return made_;
-  for (const std::string& note : executor().take_notes()) listener_->note(note);
-  listener_->stepped(step_, losses_);
-  return made_;
-}
-
-// Steps are queued one behind the other: drawn by the executor from the pixels that it holds, or given as batches.
-void Trainer::make_steps(std::int64_t most) {
-  const std::int64_t count = std::min<std::int64_t>(most, executor().most_queued());
+  const std::int64_t end = step_ + std::min<std::int64_t>(most, executor().most_queued());
   std::optional<Error> refused;  // what stopped the step behind those that are made
   bool has_batch = true;         // of that step
-  for (std::int64_t step = step_; step < step_ + count && !refused; ++step) {
+  for (std::int64_t step = step_; step < end && !refused; ++step) {
     try {
       has_batch = drawn_;
       if (drawn_) {
@@ -217,9 +206,8 @@ void Trainer::make_steps(std::int64_t most) {
     }
   }
   const StepResults results = executor().finish();
-  made_ = results.losses;
-  step_ += std::ssize(made_);
-  for (const StepLosses& losses : made_) note_density(losses);
+  step_ += std::ssize(results.losses);
+  for (const StepLosses& losses : results.losses) note_density(losses);
   if (results.failed) explain_failed_step();
   if (refused && !has_batch) throw Error(*refused);
   if (refused) {
@@ -232,6 +220,13 @@ void Trainer::make_steps(std::int64_t most) {
         .while_doing(fmt::format(
             "while refreshing the sampler's state after step {}, which was made; that state is as it was", step_));
   }
+  train_s_ += clock_s() - start_s;
+  losses_ = results.losses.back();
+  settle_length();
+  if (listener_ == nullptr) return results.losses;
+  for (const std::string& note : executor().take_notes()) listener_->note(note);
+  listener_->stepped(step_, losses_);
+  return results.losses;
 }
 
 AdamStep Trainer::update_of(std::int64_t step) const {

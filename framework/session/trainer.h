@@ -138,7 +138,6 @@ class Trainer : NonCopyable {
   RayBatch batch() const { return batch_.view(pipeline().has_semantics()); }
   AdamStep update_of(std::int64_t step) const;
   std::uint32_t terms_of(std::int64_t step) const;
-  void make_steps(std::int64_t most);
   void note_density(const StepLosses& losses);
   void check_alive() const;
   std::string bad_tensor() const;
@@ -158,7 +157,6 @@ class Trainer : NonCopyable {
   std::int64_t step_ = 0;
   double train_s_ = 0;
   StepLosses losses_;
-  std::span<const StepLosses> made_;  // by the last advance()
   BatchBuffers batch_;
   std::uint64_t held_ = 0;       // version of *rays_ that the executor has looked at
   bool drawn_ = false;           // by the executor
