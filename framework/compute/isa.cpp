@@ -120,20 +120,16 @@ std::string isas_of_build() {
 }
 std::string isas_of_machine() { return names_of(processor_has); }
 
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<float>)
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<double>)
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<float>)
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<double>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, fill_cpu_kernels, CpuKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, fill_cpu_kernels, CpuKernels<double>)
 
 template <class Real>
 const CpuKernels<Real>& cpu_kernels() {
   using Fill = void (*)(CpuKernels<Real>&);
-  static constexpr IsaVariant<Fill> kGemm[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, gemm_kernels)};
-  static constexpr IsaVariant<Fill> kLoops[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, loop_kernels)};
+  static constexpr IsaVariant<Fill> kVariants[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, fill_cpu_kernels)};
   static const CpuKernels<Real> kernels = [] {
     CpuKernels<Real> filled{};
-    best_variant(kGemm)(filled);
-    best_variant(kLoops)(filled);
+    best_variant(kVariants)(filled);
     return filled;
   }();
   return kernels;

@@ -47,12 +47,10 @@
 namespace semfield {
 
 // The makers that compute/isa.cpp chooses from; the suite calls each of them.
-#define SEMFIELD_DECLARE(name)              \
-  namespace isa_##name {                    \
-    void gemm_kernels(CpuKernels<float>&);  \
-    void gemm_kernels(CpuKernels<double>&); \
-    void loop_kernels(CpuKernels<float>&);  \
-    void loop_kernels(CpuKernels<double>&); \
+#define SEMFIELD_DECLARE(name)                  \
+  namespace isa_##name {                        \
+    void fill_cpu_kernels(CpuKernels<float>&);  \
+    void fill_cpu_kernels(CpuKernels<double>&); \
   }
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
 #undef SEMFIELD_DECLARE
@@ -85,14 +83,13 @@ struct IsaTable {
 template <class Real>
 std::vector<IsaTable<Real>> isa_tables() {
   std::vector<IsaTable<Real>> out;
-  const auto add = [&](Isa which, void (*gemm)(CpuKernels<Real>&), void (*loops)(CpuKernels<Real>&)) {
+  const auto add = [&](Isa which, void (*make)(CpuKernels<Real>&)) {
     if (which > isa()) return;
     IsaTable<Real> table{which, {}};
-    gemm(table.kernels);
-    loops(table.kernels);
+    make(table.kernels);
     out.push_back(table);
   };
-#define SEMFIELD_LIST(name) add(Isa::name, isa_##name::gemm_kernels, isa_##name::loop_kernels);
+#define SEMFIELD_LIST(name) add(Isa::name, isa_##name::fill_cpu_kernels);
   SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
 #undef SEMFIELD_LIST
   return out;

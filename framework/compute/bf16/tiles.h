@@ -9,6 +9,7 @@
 #endif
 
 #include <algorithm>
+#include <bit>
 #include <cstdint>
 #include <cstring>
 
@@ -20,16 +21,12 @@ namespace semfield::SEMFIELD_ISA {
 namespace {
 
 inline float widen(Bf16 value) {
-  const std::uint32_t bits = static_cast<std::uint32_t>(value.bits) << 16;
-  float wide;
-  std::memcpy(&wide, &bits, sizeof wide);
-  return wide;
+  return std::bit_cast<float>(static_cast<std::uint32_t>(value.bits) << 16);
 }
 
 /// To nearest, ties to even; values below the normal range count as 0, as the instructions have it.
 inline Bf16 rounded(float value) {
-  std::uint32_t bits;
-  std::memcpy(&bits, &value, sizeof bits);
+  const auto bits = std::bit_cast<std::uint32_t>(value);
   const std::uint32_t exponent = bits & 0x7F800000u;
   if (exponent == 0x7F800000u)
     return {static_cast<std::uint16_t>((bits >> 16) | ((bits & 0x7FFFFFu) != 0 ? 0x40u : 0u))};

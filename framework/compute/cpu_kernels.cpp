@@ -1,18 +1,19 @@
-// Elementwise loops of networks and rendering, for one instruction set. Exponentials: exact reduction to |r| <= ln2/2,
-// a degree-7 series, scaling by exponent bits.
+// Elementwise loops of networks and rendering, and the matrix product in the precision of its operands, for one
+// instruction set. Exponentials: exact reduction to |r| <= ln2/2, a degree-7 series, scaling by exponent bits.
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>
 #include <limits>
 
+#include "compute/gemm_tiles.h"
 #include "compute/isa.h"
 #include "compute/math_functions.h"
 
 namespace semfield::SEMFIELD_ISA {
 
-void loop_kernels(CpuKernels<float>& kernels);
-void loop_kernels(CpuKernels<double>& kernels);
+void fill_cpu_kernels(CpuKernels<float>& kernels);
+void fill_cpu_kernels(CpuKernels<double>& kernels);
 
 namespace {
 
@@ -206,8 +207,63 @@ void per_ray_backward(View<const Real> dz, View<const std::int32_t> ray_of_sampl
   }
 }
 
+// The matrix product.
+
+// Rows of B per block: the packed panel (kBlockK x kMaxVecs vectors, 64 KiB at 64-byte vectors) streams from L2 once a
+// tile.
+constexpr std::int64_t kBlockK = 256;
+
+/// Columns [col, col + cols) of C, rows k0 .. k0+count of B: the panel of B is packed to contiguous, zero-padded rows.
+template <class Real>
+void panel(const Gemm<Real>& g, std::int64_t col, int cols, std::int64_t k0, std::int64_t count) {
+  using Op = MultiplyAdd<Real>;
+  alignas(64) Real packed[kBlockK * kMaxVecs * kLanesOf<Op>];
+  const bool transposed = g.a_row == 1 && g.a_col != 1;
+  const Cover<Op> shape = cover_of<Op>(cols, transposed);
+  const int width = shape.width;
+  const Real* b = g.b + k0 * g.b_row + col;
+  std::int64_t b_row = g.b_row;
+  // Packing costs one copy of the panel: worth it when several tiles read it, needed when its last vector is partial.
+  if (b_row != width && (cols != width || g.m >= 2 * shape.rows)) {
+    for (std::int64_t k = 0; k < count; ++k) {
+      Real* row = packed + k * width;
+      std::memcpy(row, b + k * b_row, sizeof(Real) * static_cast<std::size_t>(cols));
+      for (int i = cols; i < width; ++i) row[i] = Real(0);
+    }
+    b = packed;
+    b_row = width;
+  }
+  Real strip[kMaxRows * kBlockK];  // rows of A when neither of its strides is 1
+  TileArgs<Op> t{};
+  t.b = b;
+  t.b_row = b_row;
+  t.k = count;
+  t.cols = cols;
+  run_tiles(g, shape, t, 0, g.m, col, k0, count, [&](std::int64_t row, int rows) {
+    t.a = g.a + row * g.a_row + k0 * g.a_col;
+    t.a_step = transposed ? g.a_col : g.a_row;
+    if (transposed || g.a_col == 1) return;
+    for (int i = 0; i < rows; ++i) {
+      for (std::int64_t k = 0; k < count; ++k) strip[i * kBlockK + k] = t.a[i * g.a_row + k * g.a_col];
+    }
+    t.a = strip;
+    t.a_step = kBlockK;
+  });
+}
+
+template <class Real>
+void gemm(const Gemm<Real>& g) {
+  constexpr std::int64_t kPanel = kMaxVecs * kLanesOf<MultiplyAdd<Real>>;
+  for (std::int64_t col = 0; col < g.n; col += kPanel) {
+    const int cols = static_cast<int>(std::min(kPanel, g.n - col));
+    // With k = 0 one empty block still writes the start.
+    for (std::int64_t k0 = 0; k0 == 0 || k0 < g.k; k0 += kBlockK) panel(g, col, cols, k0, std::min(kBlockK, g.k - k0));
+  }
+}
+
 template <class Real>
 void fill(CpuKernels<Real>& kernels) {
+  kernels.gemm = gemm<Real>;
   kernels.exp_inplace = exp_inplace<Real>;
   kernels.expm1_inplace = expm1_inplace<Real>;
   kernels.sigmoid_inplace = sigmoid_inplace<Real>;
@@ -223,7 +279,7 @@ void fill(CpuKernels<Real>& kernels) {
 
 }  // namespace
 
-void loop_kernels(CpuKernels<float>& kernels) { fill(kernels); }
-void loop_kernels(CpuKernels<double>& kernels) { fill(kernels); }
+void fill_cpu_kernels(CpuKernels<float>& kernels) { fill(kernels); }
+void fill_cpu_kernels(CpuKernels<double>& kernels) { fill(kernels); }
 
 }  // namespace semfield::SEMFIELD_ISA
