@@ -296,9 +296,7 @@ std::string allowed_script(std::string_view page) {
   const std::size_t begin = page.find(kBegin);
   if (begin == std::string_view::npos) return {};
   const std::size_t from = begin + kBegin.size();
-  Sha256 sum;
-  sum.add(std::as_bytes(std::span(page.substr(from, page.find(kEnd, from) - from))));
-  const std::string digits = sum.hex();
+  const std::string digits = sha256_of(page.substr(from, page.find(kEnd, from) - from));
   std::vector<std::uint8_t> bytes(digits.size() / 2);
   for (std::size_t i = 0; i < bytes.size(); ++i)
     std::from_chars(digits.data() + 2 * i, digits.data() + 2 * i + 2, bytes[i], 16);

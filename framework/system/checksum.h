@@ -37,4 +37,7 @@ class Sha256 {
   std::uint64_t size_ = 0;
 };
 
+/// Of a text.
+std::string sha256_of(std::string_view text);
+
 }  // namespace semfield

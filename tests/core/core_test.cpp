@@ -11,9 +11,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <fstream>
 #include <limits>
-#include <sstream>
 #include <stdexcept>
 #include <thread>
 
@@ -87,18 +85,12 @@ TEST(Words, AShellReadsAShellWordAsTheText) {
 
 // SHA-256 against the published examples, and against itself cut into pieces.
 
-std::string digest(std::string_view text) {
-  Sha256 sum;
-  sum.add(std::as_bytes(std::span(text)));
-  return sum.hex();
-}
-
 TEST(Sha256, PublishedExamples) {
-  EXPECT_EQ(digest(""), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
-  EXPECT_EQ(digest("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
-  EXPECT_EQ(digest("abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq"),
+  EXPECT_EQ(sha256_of(""), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+  EXPECT_EQ(sha256_of("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+  EXPECT_EQ(sha256_of("abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq"),
             "248d6a61d20638b8e5c026930c3e6039a33ce45964ff2167f6ecedd419db06c1");
-  EXPECT_EQ(digest(std::string(1000000, 'a')), "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
+  EXPECT_EQ(sha256_of(std::string(1000000, 'a')), "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
 }
 
 TEST(Sha256, PiecesDoNotMatter) {
@@ -107,7 +99,7 @@ TEST(Sha256, PiecesDoNotMatter) {
     Sha256 sum;
     for (std::size_t at = 0; at < size; at += 7)
       sum.add(std::as_bytes(std::span(text)).subspan(at, std::min<std::size_t>(7, size - at)));
-    EXPECT_EQ(sum.hex(), digest(text.substr(0, size))) << size;
+    EXPECT_EQ(sum.hex(), sha256_of(text.substr(0, size))) << size;
   }
 }
 
@@ -585,11 +577,6 @@ TEST_F(FloatMode, TheCallersModeComesBackAfterAnException) {
 
 // The choice of an instruction set.
 
-std::vector<std::string> words_of(const std::string& text) {
-  std::istringstream in(text);
-  return {std::istream_iterator<std::string>(in), {}};
-}
-
 // What a process says whose environment has SEMFIELD_ISA=`wanted`: this program again, at the test below.
 std::string said_with(const std::string& wanted) {
   const std::string self = std::filesystem::read_symlink("/proc/self/exe").string();
@@ -608,7 +595,7 @@ TEST(Isa, SaysWhatItIsOrWhyNot) {
   std::string said;
   try {
     said = isa_name(isa());
-    const std::vector<std::string> built = words_of(isas_of_build());
+    const std::vector<std::string> built = word_list(isas_of_build());
     EXPECT_NE(std::find(built.begin(), built.end(), said), built.end()) << said;
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::config);
@@ -618,7 +605,7 @@ TEST(Isa, SaysWhatItIsOrWhyNot) {
 }
 
 TEST(Isa, EveryOneOfTheBuildThatTheProcessorHasIsTakenWhenTheEnvironmentNamesIt) {
-  const std::vector<std::string> built = words_of(isas_of_build());
+  const std::vector<std::string> built = word_list(isas_of_build());
   ASSERT_FALSE(built.empty());
   const std::string best = said_with("");
   EXPECT_NE(std::find(built.begin(), built.end(), best), built.end()) << best;
@@ -640,7 +627,7 @@ TEST(Isa, EveryOneOfTheBuildThatTheProcessorHasIsTakenWhenTheEnvironmentNamesIt)
 
 TEST(Isa, AnotherWordInTheEnvironmentIsRefusedWithThoseThatThereAre) {
   const std::string said = said_with("avx1024");
-  EXPECT_HAS(said, "SEMFIELD_ISA", "'avx1024'", words_of(isas_of_build()).front());
+  EXPECT_HAS(said, "SEMFIELD_ISA", "'avx1024'", word_list(isas_of_build()).front());
 }
 
 TEST(Isa, TakesTheBestVariantThatNeedsNoMore) {
