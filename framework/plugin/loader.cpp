@@ -27,6 +27,10 @@ namespace fs = std::filesystem;
 
 namespace {
 
+[[noreturn]] void fail(Code code, const std::string& what, const std::string& remedy = {}) {
+  throw Error(ErrorKind::unavailable, code, what, remedy);
+}
+
 constexpr const char* kSymbol = "semfield_plugin_module";
 constexpr const char* kCudaSymbol = "semfield_plugin_cuda_kernels";
 
@@ -48,14 +52,12 @@ void* open_library(const std::string& file, const std::string& asked_for, const 
   t_being_loaded.clear();
   if (library != nullptr) return library;
   const char* cause = dlerror();
-  throw Error(ErrorKind::unavailable, "plugin.module.unloadable",
-              doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
+  fail("plugin.module.unloadable", doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
 }
 
 void* symbol_of(void* library, const char* name, const std::string& doing, const std::string& remedy) {
   if (void* const found = dlsym(library, name)) return found;
-  throw Error(ErrorKind::unavailable, "plugin.module.descriptor", doing + ": it does not export '" + name + "'",
-              remedy);
+  fail("plugin.module.descriptor", doing + ": it does not export '" + name + "'", remedy);
 }
 
 std::string file_name(const std::string& path) { return fs::path(path).filename().string(); }
@@ -74,9 +76,8 @@ std::vector<std::string> trusted_folders() {
   for (std::string folder; std::getline(stream, folder, ':');) {
     if (folder.empty()) continue;
     if (!fs::path(folder).is_absolute())
-      throw Error(ErrorKind::unavailable, "config.environment.value",
-                  "SEMFIELD_PLUGIN_PATH: '" + folder + "' is not an absolute path",
-                  "name folders from the root, separated by colons");
+      fail("config.environment.value", "SEMFIELD_PLUGIN_PATH: '" + folder + "' is not an absolute path",
+           "name folders from the root, separated by colons");
     folders.push_back(real_path(folder));
   }
   return folders;
@@ -96,10 +97,9 @@ void refuse_broken(const std::string& file, const std::string& doing, Diagnostic
   const std::optional<FileVerdict> found =
       read_verdict(file, SEMFIELD_VERSION_TEXT, notes == nullptr ? unread : *notes);
   if (!found || found->passed()) return;
-  throw Error(ErrorKind::unavailable, "plugin.module.broken_law",
-              doing + ": it was checked, and broke a law: " + found->fault,
-              "fix it and run `semfield plugins check " + shell_word(file) + "` again, or remove " +
-                  shell_word(found->entry) + " to load it as it is");
+  fail("plugin.module.broken_law", doing + ": it was checked, and broke a law: " + found->fault,
+       "fix it and run `semfield plugins check " + shell_word(file) + "` again, or remove " + shell_word(found->entry) +
+           " to load it as it is");
 }
 
 }  // namespace
@@ -108,16 +108,15 @@ const char* abi_tag_of_framework() { return SEMFIELD_ABI_TAG; }
 
 void check_interface(int api, const std::string& abi_tag) {
   if (api != kPluginApi) {
-    throw Error(
-        ErrorKind::unavailable, "plugin.module.api",
+    fail(
+        "plugin.module.api",
         "the module speaks plugin API " + std::to_string(api) + ", this framework speaks " + std::to_string(kPluginApi),
         "rebuild the plugin against the installed headers");
   }
   const std::string ours = abi_tag_of_framework();
   if (abi_tag != ours) {
-    throw Error(ErrorKind::unavailable, "plugin.module.abi",
-                "the module was built with ABI '" + abi_tag + "', this framework with '" + ours + "'",
-                "build both with the same standard library and its options");
+    fail("plugin.module.abi", "the module was built with ABI '" + abi_tag + "', this framework with '" + ours + "'",
+         "build both with the same standard library and its options");
   }
 }
 
@@ -125,9 +124,8 @@ void register_module(Registry& registry, const PluginModule& module) {
   // The API number stands first in the descriptor and is read first: with another one the rest may have another layout.
   check_interface(module.api, module.api != kPluginApi || module.abi_tag == nullptr ? "" : module.abi_tag);
   if (module.name == nullptr || module.version == nullptr || module.register_into == nullptr) {
-    throw Error(ErrorKind::unavailable, "plugin.module.descriptor",
-                "the module's descriptor lacks its name, version or register function",
-                "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
+    fail("plugin.module.descriptor", "the module's descriptor lacks its name, version or register function",
+         "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
   }
   // The module's entries, or the registry as it was.
   const std::string title = std::string(module.name) + " " + module.version;
@@ -140,9 +138,9 @@ void register_module(Registry& registry, const PluginModule& module) {
     error.while_doing(doing);
     throw;
   } catch (const std::exception& error) {
-    throw Error(ErrorKind::unavailable, "plugin.module.registration", doing + ": " + error.what());
+    fail("plugin.module.registration", doing + ": " + error.what());
   } catch (...) {
-    throw Error(ErrorKind::unavailable, "plugin.module.registration", doing + ": an unknown exception");
+    fail("plugin.module.registration", doing + ": an unknown exception");
   }
   trial.set_current_module({});
   registry = std::move(trial);
@@ -155,8 +153,8 @@ void keep_check(const std::string& path, const std::string& broken_law, Diagnost
 void load_module(Registry& registry, const std::string& path, const LoadOptions& options) {
   const std::string doing = "cannot load plugin '" + path + "'";
   if (!is_file(path)) {
-    throw Error(ErrorKind::unavailable, "plugin.module.missing", doing + ": there is no such file",
-                "check the path; in a configuration it starts at the file that wrote it");
+    fail("plugin.module.missing", doing + ": there is no such file",
+         "check the path; in a configuration it starts at the file that wrote it");
   }
   // Absolute: a name without a slash would be searched in the library path, which is not what was asked for.
   const std::string file = real_path(path);
@@ -192,13 +190,12 @@ void load_listed_module(Registry& registry, const std::string& path) {
     return;
   }
   if (!is_file(path))
-    throw Error(
-        ErrorKind::unavailable, "plugin.module.missing", "cannot load plugin '" + path + "': there is no such file",
-        "check the path, which starts at the file that wrote it, or name the module where it lies: --plugin FILE");
-  throw Error(ErrorKind::unavailable, "plugin.module.untrusted",
-              "the module '" + path + "' was not loaded: it is code, and a configuration alone does not make it run",
-              "if you trust it, add --plugin " + path +
-                  " (in Python: semfield.load_plugin), or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
+    fail("plugin.module.missing", "cannot load plugin '" + path + "': there is no such file",
+         "check the path, which starts at the file that wrote it, or name the module where it lies: --plugin FILE");
+  fail("plugin.module.untrusted",
+       "the module '" + path + "' was not loaded: it is code, and a configuration alone does not make it run",
+       "if you trust it, add --plugin " + path +
+           " (in Python: semfield.load_plugin), or set SEMFIELD_PLUGIN_PATH to a folder that holds it");
 }
 
 void add_cuda_kernels_of_modules(Registry& registry) {
@@ -232,7 +229,7 @@ class ModuleFile {
   }
 
   [[noreturn]] void refuse(Code code, const std::string& why, const std::string& remedy) const {
-    throw Error(ErrorKind::unavailable, code, doing_ + ": " + why, remedy);
+    fail(code, doing_ + ": " + why, remedy);
   }
   void require(std::uint64_t end) const {
     if (end > size_)
