@@ -9,7 +9,7 @@
 #include "config/schema.h"
 #include "report/sweep.h"
 #include "session/settings/run_config.h"
-#include "session/settings/run_identity.h"
+#include "session/settings/choices.h"
 
 namespace semfield::app {
 

@@ -51,11 +51,6 @@ void apply(const FuseOptions& options, FusionParams& params) {
                 "name its folder: --depth-from RUN");
 }
 
-template <class T>
-std::string choice_name(T value) {
-  return std::string(ChoiceNames<T>::names[static_cast<std::size_t>(value)]);
-}
-
 Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
   Json rows = Json::array();
   for (const FusionScore& score : fusion.scores) {

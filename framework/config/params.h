@@ -52,6 +52,11 @@ struct ChoiceNames;
     static constexpr auto names = std::to_array<std::string_view>({__VA_ARGS__}); \
   }
 
+template <class Enum>
+std::string choice_name(Enum value) {
+  return std::string(ChoiceNames<Enum>::names[static_cast<std::size_t>(value)]);
+}
+
 template <class T>
 void visit_param(const ParamVisitor& visit, std::string_view name, T& value, std::string_view help, Range range = {}) {
   if constexpr (std::is_enum_v<T>) {

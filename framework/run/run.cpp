@@ -21,7 +21,6 @@
 #include "labels/clicks/click_file.h"
 #include "plugin/loader.h"
 #include "scene/classes/class_table.h"
-#include "session/settings/run_identity.h"
 #include "system/files.h"
 #include "system/process.h"
 

@@ -12,7 +12,7 @@
 #include "plugin/loader.h"
 #include "run/run.h"
 #include "session/checkpoint_facts.h"
-#include "session/settings/run_identity.h"
+#include "session/settings/choices.h"
 #include "session/trainer.h"
 #include "system/files.h"
 

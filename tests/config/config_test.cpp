@@ -458,17 +458,9 @@ TEST(ParamsRead, TakesEveryType) {
                       "root: 10%\ninterpolation: smoothstep\nskips: [0, +8]\nbetas: [.5, 1.]\nfiles: [a, 'b c', 3]\n",
                       &p),
             "");
-  EXPECT_EQ(p.levels, 8);
-  EXPECT_EQ(p.seed, std::numeric_limits<std::int64_t>::max());
-  EXPECT_EQ(p.small, 255);
-  EXPECT_EQ(p.growth, 2.0);
-  EXPECT_EQ(p.rate, 1e-3f);
-  EXPECT_TRUE(p.dense);
-  EXPECT_EQ(p.root, "10%");
-  EXPECT_EQ(p.interpolation, Interp::smoothstep);
-  EXPECT_EQ(p.skips, (std::vector<std::int64_t>{0, 8}));
-  EXPECT_EQ(p.betas, (std::vector<double>{0.5, 1.0}));
-  EXPECT_EQ(p.files, (std::vector<std::string>{"a", "b c", "3"}));
+  EXPECT_EQ(write_config(params_to_config(describer(p))),
+            "levels: 8\nseed: 9223372036854775807\nsmall: 255\ngrowth: 2.0\nrate: 0.0010000000474974513\ndense: true\n"
+            "root: \"10%\"\ninterpolation: smoothstep\nskips: [0, 8]\nbetas: [0.5, 1.0]\nfiles: [a, b c, \"3\"]\n");
 }
 
 TEST(ParamsRead, MissingKeysKeepDefaults) {
@@ -602,22 +594,15 @@ TEST(ParamsWrite, DoublesAreShortestAndExact) {
 TEST(ParamsDescribe, OneRowAParameter) {
   Sample p;
   const std::vector<ParamDoc> docs = describe_params(describer(p));
-  ASSERT_EQ(docs.size(), 11u);
-  EXPECT_EQ(docs[0].name, "levels");
-  EXPECT_EQ(docs[0].type, "int");
-  EXPECT_EQ(docs[0].default_value, "16");
-  EXPECT_EQ(docs[0].range, "[1, 32]");
+  std::string rows;
+  for (const ParamDoc& doc : docs)
+    rows += doc.name + "|" + doc.type + "|" + doc.default_value + "|" + doc.range + join(doc.choices) + "\n";
+  EXPECT_EQ(rows,
+            "levels|int|16|[1, 32]\nseed|int|1|>= 0\nsmall|int|3|[0, 255]\ngrowth|number|1.5|[1, 2.5]\n"
+            "rate|number|0.25|\n"  // the limits of float are no news
+            "dense|bool|false|\nroot|text|data/room|\ninterpolation|choice|linear|linear, smoothstep\n"
+            "skips|list of int|[4]|[0, 8]\nbetas|list of number|[0.9, 0.999]|[0, 1]\nfiles|list of text|[]|\n");
   EXPECT_EQ(docs[0].help, "L, number of resolutions");
-  EXPECT_EQ(docs[1].range, ">= 0");
-  EXPECT_EQ(docs[2].range, "[0, 255]");
-  EXPECT_EQ(docs[3].range, "[1, 2.5]");
-  EXPECT_EQ(docs[4].range, "");  // the limits of float are no news
-  EXPECT_EQ(docs[6].default_value, "data/room");
-  EXPECT_EQ(docs[7].type, "choice");
-  EXPECT_EQ(docs[7].choices, (std::vector<std::string>{"linear", "smoothstep"}));
-  EXPECT_EQ(docs[9].type, "list of number");
-  EXPECT_EQ(docs[9].default_value, "[0.9, 0.999]");
-  EXPECT_EQ(docs[10].default_value, "[]");
 }
 
 // What is shown of parameters: the JSON schema, and explanations of a key.

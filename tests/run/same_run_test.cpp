@@ -8,7 +8,7 @@
 #include "run/run_folder.h"
 #include "run/run_scores.h"
 #include "session/self_training.h"
-#include "session/settings/run_identity.h"
+#include "session/settings/choices.h"
 #include "system/process.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"

@@ -9,7 +9,7 @@
 #include "run/run_folder.h"
 #include "run/run_scores.h"
 #include "session/assembly.h"
-#include "session/settings/run_identity.h"
+#include "session/settings/choices.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 #include "tests/threads.h"

@@ -16,7 +16,6 @@
 #include "model/render_rules.h"
 #include "session/assembly.h"
 #include "session/settings/choices.h"
-#include "session/settings/run_identity.h"
 #include "testkit/analytic_scene.h"
 #include "tests/session/oracle.h"
 #include "tests/session/step_configs.h"

@@ -531,7 +531,7 @@ TEST(RaySourceChoice, TheLabelsDecideWhereItIsLeftOpen) {
     EXPECT_EQ(c.s.config.train.ray_source, c.kind);
     ASSERT_EQ(c.s.chosen_by_labels.size(), 1u);
     EXPECT_HAS(c.s.chosen_by_labels[0], c.line);
-    const std::string name(ChoiceNames<RaySourceKind>::names[static_cast<std::size_t>(c.kind)]);
+    const std::string name = choice_name(c.kind);
     EXPECT_HAS(write_config(resolved_config(c.s.config)), "ray_source: " + name);
     (void)c.s.make_ray_source();
   }

@@ -1,12 +1,15 @@
-// What is decided where the configuration leaves it open: cameras, device, labels, pace and length of a run.
+// What is decided where the configuration leaves it open: cameras, device, labels, pace and length of a run; and which
+// settings make it that run.
 #pragma once
 
 #include <cstdint>
 #include <deque>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "config/explain.h"
 #include "core/error.h"
 #include "core/view.h"
 #include "labels/training_labels.h"
@@ -184,5 +187,25 @@ void settle(RunConfig& config, std::int64_t step, std::int64_t end);
 /// Errors for what can never work in a run of this length: a warm-up beyond its end, terms of the loss that begin
 /// there.
 void check_length(const RunConfig& config, Diagnostics& diagnostics);
+
+// Which settings make a run the run that it is, and which may change while it goes on.
+
+/// Not: a run's length, what it prints, measures and keeps beside the tensors, the machine's part in it (threads,
+/// memory, device, who multiplies matrices), and where files lie.
+bool is_part_of_identity(std::string_view key_path);
+/// What is no part of the identity, and what helps a run over a step that failed: optimiser, schedule, seed, precision.
+/// Everything else would make it another run.
+bool may_change_on_resume(std::string_view key_path);
+
+/// Equal for runs whose settings are the same but for those that are no part of the identity.
+std::string identity_hash(const RunConfig& config);
+
+/// Throws Error(no_input) naming the setting and `--set` when a place that run.yaml names for the scene or its label
+/// files, but for clicks, is not there any more.
+void require_scene_places(const RunConfig& config, const std::string& run_dir);
+
+/// The text of run.yaml, which has been read back: Error(config) names what could never be read again, such as a
+/// derived value beyond the range of its setting or a path that is no UTF-8.
+std::string run_config_text(const RunConfig& config, Registry& registry);
 
 }  // namespace semfield

@@ -577,7 +577,7 @@ class Reading {
       const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
       if (!served[kind] && !among_many)
         error("config.branch.missing", node,
-              path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
+              path + ": no branch is for labels: " + choice_name(static_cast<LabelKind>(kind)),
               "add one, or let the last one be for labels: any");
     }
     return read;
@@ -974,10 +974,6 @@ void validate(const FusionParams& p, Diagnostics& diagnostics) {
 }
 
 bool FusionParams::agree(double a, double b) const { return std::abs(a - b) <= tolerance + relative_tolerance * a; }
-
-std::string_view fusion_method_name(FusionMethod method) {
-  return ChoiceNames<FusionMethod>::names[static_cast<std::size_t>(method)];
-}
 
 std::vector<FusionMethod> fusion_methods(const std::vector<std::string>& names) {
   constexpr auto& known = ChoiceNames<FusionMethod>::names;

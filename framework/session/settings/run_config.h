@@ -51,7 +51,6 @@ void validate(const FusionParams& params, Diagnostics& diagnostics);
 
 /// Methods by name, each once, in the order given. Throws Error(config) naming one that does not exist.
 std::vector<FusionMethod> fusion_methods(const std::vector<std::string>& names);
-std::string_view fusion_method_name(FusionMethod method);
 
 // The section `objects`: how segments of images become objects. Declared here, where sections are read; used in
 // objects/.

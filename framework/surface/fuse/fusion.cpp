@@ -394,8 +394,7 @@ SceneFusion fuse_scene(const LoadedScene& scene, const TrainingLabels& labels, c
   const LabelFusion fusion(views, classes, params);
   const std::vector<FusionMethod> methods = fusion_methods(params.methods);
   SceneFusion out;
-  for (const FusionMethod method : methods)
-    out.scores.push_back({std::string(fusion_method_name(method)), ConfusionMatrix(classes), {}});
+  for (const FusionMethod method : methods) out.scores.push_back({choice_name(method), ConfusionMatrix(classes), {}});
   const bool field =
       std::any_of(maps.label.begin(), maps.label.end(), [](const auto& label) { return !label.empty(); });
   if (field) out.scores.push_back({"field", ConfusionMatrix(classes), {}});
