@@ -1,9 +1,13 @@
-// Three-vectors and rigid transforms, small enough to need no library and safe to pass across module borders.
+// Three-vectors and rigid transforms, small enough to need no library and safe to pass across module borders; values by
+// their rank.
 #pragma once
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <iterator>
+#include <vector>
 
 #include "core/host_device.h"
 
@@ -108,6 +112,24 @@ inline bool is_in_metres(bool metric, Vec3d size) {
 inline double usual_metre(bool metric, Vec3d size) {
   const double longest = std::max({size.x, size.y, size.z});
   return is_in_metres(metric, size) || !(longest > 0) || !std::isfinite(longest) ? 1 : longest / 5;
+}
+
+// Values by their rank.
+
+/// The middle value, of an even number the upper one; 0 of none.
+template <class T>
+T median_of(std::vector<T> values) {
+  if (values.empty()) return T(0);
+  const auto middle = values.begin() + std::ssize(values) / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+/// The value of rank floor(share * (n - 1)), share 0 to 1. Reorders `values`, which are not empty.
+template <class T>
+T quantile(std::vector<T>& values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
 }
 
 }  // namespace semfield

@@ -42,13 +42,11 @@ void Workspace::add_block(std::size_t bytes) {
   block.bytes = rounded(bytes, kSourceAlign);
   if (source_.allocate != nullptr) {
     block.begin = source_.allocate(block.bytes);
-    blocks_.push_back(std::move(block));
-    ++growths_;
-    return;
+  } else {
+    block.memory = std::make_unique_for_overwrite<std::byte[]>(block.bytes + kAlign);
+    const auto address = reinterpret_cast<std::uintptr_t>(block.memory.get());
+    block.begin = block.memory.get() + (kAlign - address % kAlign) % kAlign;
   }
-  block.memory = std::make_unique_for_overwrite<std::byte[]>(block.bytes + kAlign);
-  const auto address = reinterpret_cast<std::uintptr_t>(block.memory.get());
-  block.begin = block.memory.get() + (kAlign - address % kAlign) % kAlign;
   blocks_.push_back(std::move(block));
   ++growths_;
 }

@@ -22,20 +22,6 @@ struct BlockSource {
   void (*release)(std::byte* block) = nullptr;
 };
 
-/// Adds up what a Workspace of the CPU's memory will be asked for.
-class ScratchSum {
- public:
-  template <class T>
-  void take(std::int64_t rows, std::int64_t cols) {
-    const std::size_t bytes = sizeof(T) * static_cast<std::size_t>(rows) * static_cast<std::size_t>(cols);
-    bytes_ += (bytes > 0 ? bytes + 63 : 64) / 64 * 64;
-  }
-  std::size_t bytes() const noexcept { return bytes_; }
-
- private:
-  std::size_t bytes_ = 0;
-};
-
 /// Bump allocator with a high-water mark. Grows by whole blocks when it must (only in the first step of a shape), and
 /// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one per thread.
 class Workspace : NonCopyable {

@@ -9,7 +9,7 @@
 #include <optional>
 #include <vector>
 
-#include "core/quantile.h"
+#include "core/small_math.h"
 #include "scene/scene.h"
 
 namespace semfield {

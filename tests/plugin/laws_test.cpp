@@ -333,12 +333,10 @@ class ToyField final : public Field<Real> {
     return sizeof(Real) * static_cast<std::size_t>(samples);
   }
   std::size_t scratch_bytes(std::int64_t samples, std::int64_t) const noexcept override {
-    ScratchSum sum;
+    CountingArena sum;
     sum.take<Real>(samples, 1);
     sum.take<Real>(build_.position_dims, 1);
-    return broken_ == "hides_scratch"         ? sum.bytes() - 1
-           : broken_ == "claims_much_scratch" ? 3 * sum.bytes()
-                                              : sum.bytes();
+    return broken_ == "hides_scratch" ? sum.most() - 1 : broken_ == "claims_much_scratch" ? 3 * sum.most() : sum.most();
   }
   std::vector<LayerShape> layers() const override {
     if (broken_ == "hides_a_layer") return {};

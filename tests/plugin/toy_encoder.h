@@ -36,11 +36,9 @@ class ToyEncoder : public Encoder<Real> {
     return {in_dims_, static_cast<std::int32_t>(params_.bands), Domain::metric};
   }
   std::size_t scratch_bytes(std::int64_t samples) const noexcept override {
-    ScratchSum sum;
+    CountingArena sum;
     sum.take<Real>(samples, 1);
-    return broken_ == "hides_scratch"         ? sum.bytes() / 2
-           : broken_ == "claims_much_scratch" ? 3 * sum.bytes()
-                                              : sum.bytes();
+    return broken_ == "hides_scratch" ? sum.most() / 2 : broken_ == "claims_much_scratch" ? 3 * sum.most() : sum.most();
   }
   void declare(ParamDeclarer& declarer) const override {
     declarer.tensor({"table", params_.bands, 1, Init::uniform(1.0), TensorRole::dense});

@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "core/half.h"
-#include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
@@ -177,31 +176,6 @@ struct NoWork {
   static void sine(const auto&...) {}
   static void sigmoid(const auto&...) {}
   static void logit_gradient(const auto&...) {}
-};
-
-/// As Workspace, but it gives one piece of memory that nobody touches, and counts.
-class CountingArena {
- public:
-  std::byte* take_bytes(std::size_t bytes) {
-    used_ += (bytes > 0 ? bytes + 63 : 64) / 64 * 64;
-    if (used_ > most_) most_ = used_;
-    return nowhere_;
-  }
-  template <class T>
-  View<T> take(std::int64_t rows, std::int32_t cols) {
-    return {reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows * cols))), rows, cols};
-  }
-  std::size_t most() const { return most_; }
-  struct Scope : NonCopyable {
-    explicit Scope(CountingArena& of) : arena(of), used(of.used_) {}
-    ~Scope() { arena.used_ = used; }
-    CountingArena& arena;
-    std::size_t used;
-  };
-
- private:
-  alignas(64) std::byte nowhere_[64]{};
-  std::size_t used_ = 0, most_ = 0;
 };
 
 /// What a component that is built knows of its network.

@@ -9,7 +9,6 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/quantile.h"
 #include "core/small_math.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"

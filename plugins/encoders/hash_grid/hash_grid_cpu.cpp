@@ -382,9 +382,9 @@ struct Columns {
 
 template <class Real>
 std::size_t scratch_bytes(const HashGridShape& shape, std::int64_t rows) {
-  ScratchSum sum;
-  sum.take<Real>(shape.levels, Columns<Real>::stride_of(shape, rows));
-  return sum.bytes();
+  CountingArena sum;
+  sum.take<Real>(shape.levels, static_cast<std::int32_t>(Columns<Real>::stride_of(shape, rows)));
+  return sum.most();
 }
 
 /// Between columns and rows of y, over every thread.
