@@ -118,17 +118,6 @@ void write_object_tables(const std::string& folder, const EditedObjects& objects
   write_points((in / "objects.ply").string(), objects.set, info.classes);
 }
 
-std::string tables_state(const std::string& folder, const ObjectEdits& edits) {
-  const std::filesystem::path in(folder);
-  for (const char* name : {"objects.json", "objects.csv", "objects.ply"})
-    if (!std::filesystem::is_regular_file(in / name)) return {};
-  const Json root = Json::parse(read_text_file((in / "objects.json").string()), nullptr, false);
-  if (!root.is_object()) return {};
-  const auto state = root.find("state");
-  if (state != root.end()) return state->is_string() ? state->get<std::string>() : std::string();
-  return edits.edits.empty() ? objects_state(edits) : std::string();
-}
-
 std::optional<ObjectSet> objects_of_run(const std::string& run_dir, int classes) {
   const std::filesystem::path folder = std::filesystem::path(run_dir) / "objects";
   if (!std::filesystem::exists(folder / "found.safetensors")) return std::nullopt;
@@ -266,6 +255,19 @@ std::string ObjectFiles::panoptic_json() const {
 }
 
 namespace {
+
+// The state of the tables in `folder`; "": there are none. Earlier versions told none: then that of `edits` where there
+// are none that the tables could lack.
+std::string tables_state(const std::string& folder, const ObjectEdits& edits) {
+  const std::filesystem::path in(folder);
+  for (const char* name : {"objects.json", "objects.csv", "objects.ply"})
+    if (!std::filesystem::is_regular_file(in / name)) return {};
+  const Json root = Json::parse(read_text_file((in / "objects.json").string()), nullptr, false);
+  if (!root.is_object()) return {};
+  const auto state = root.find("state");
+  if (state != root.end()) return state->is_string() ? state->get<std::string>() : std::string();
+  return edits.edits.empty() ? objects_state(edits) : std::string();
+}
 
 constexpr double kEditWait_s = 10;  // another edit takes a fraction of a second
 

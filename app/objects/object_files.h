@@ -26,9 +26,6 @@ std::string objects_state(const ObjectEdits& edits);
 /// file appears whole; objects.json is first, so that where it has another state than the edits, any may be old. Throws
 /// as write_file_atomic; Error(data) for more than 1,024 objects.
 void write_object_tables(const std::string& folder, const EditedObjects& objects, const SceneInfo& info);
-/// The state of the tables in `folder`; "": there are none. Earlier versions told none: then that of `edits` where
-/// there are none that the tables could lack.
-std::string tables_state(const std::string& folder, const ObjectEdits& edits);
 
 /// The objects in RUN/objects with their edits; none where none were found. `classes`: valid ones of the run's table.
 /// Throws as read_edited_objects.

@@ -22,7 +22,5 @@ RunConfig session_config_of(const ConfigNode& tree, Registry& registry);
 void define_plugins(py::module_& module);
 /// The class Run, and train_run.
 void define_session(py::module_& module);
-/// The samplers and the compositor by themselves, for studies.
-void define_integral(py::module_& module);
 
 }  // namespace semfield::python
