@@ -97,9 +97,16 @@ std::vector<std::string> words_of_verbs() {
 }
 
 template <class T>
-CLI::Option& VerbWords::option(const std::string& name, const char* usual_value, T& into, const std::string& help) {
+T& Options::kept(T usual) {
+  const auto made = std::make_shared<T>(std::move(usual));
+  kept_.push_back(made);
+  return *made;
+}
+
+template <class T>
+CLI::Option& Options::option(const std::string& name, const char* usual_value, T& into, const std::string& help) {
   const std::size_t blank = name.find(' ');
-  CLI::Option* made = verb_.add_option(name.substr(0, blank), into, help);
+  CLI::Option* made = at_.verb.add_option(name.substr(0, blank), into, help);
   if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::string>) {
     if (help.find("(default: ") == std::string::npos) made->capture_default_str();
   }
@@ -107,68 +114,89 @@ CLI::Option& VerbWords::option(const std::string& name, const char* usual_value,
 }
 
 template <class T>
-void VerbWords::operand(const std::string& name, T& into, const std::string& help, std::vector<std::string> offered) {
+T& Options::take_operands(const std::string& name, const std::string& help, std::vector<std::string> offered) {
+  T& into = kept(T());
   const bool required = name.front() != '[';
   const std::string plain = upper(required ? name : name.substr(1, name.size() - 2));
-  CLI::Option& word = *verb_.add_option(plain, into, help)->required(required)->type_name("");
+  CLI::Option& word = *at_.verb.add_option(plain, into, help)->required(required)->type_name("");
   if (required && !offered.empty()) word.check(one_of(offered));
-  offered_[&word] = std::move(offered);
+  at_.offered[&word] = std::move(offered);
+  return into;
 }
-template void VerbWords::operand(const std::string&, std::string&, const std::string&, std::vector<std::string>);
-template void VerbWords::operand(const std::string&, std::vector<std::string>&, const std::string&,
-                                 std::vector<std::string>);
 
-void VerbWords::flag(const std::string& name, bool& into, const std::string& help) { verb_.add_flag(name, into, help); }
+std::string& Options::operand(const std::string& name, const std::string& help, std::vector<std::string> offered) {
+  return take_operands<std::string>(name, help, std::move(offered));
+}
 
-void VerbWords::value(const std::string& name, std::string& into, const std::string& help,
-                      std::vector<std::string> offered) {
-  offered_[&option(name, "VALUE", into, help)] = std::move(offered);
+std::vector<std::string>& Options::operands(const std::string& name, const std::string& help,
+                                            std::vector<std::string> offered) {
+  return take_operands<std::vector<std::string>>(name, help, std::move(offered));
+}
+
+bool& Options::flag(const std::string& name, const std::string& help) {
+  bool& into = kept(false);
+  at_.verb.add_flag(name, into, help);
+  return into;
+}
+
+std::string& Options::value(const std::string& name, const std::string& help, std::string usual,
+                            std::vector<std::string> offered) {
+  std::string& into = kept(std::move(usual));
+  at_.offered[&option(name, "VALUE", into, help)] = std::move(offered);
+  return into;
 }
 
 template <class T>
-void VerbWords::value_in(const std::string& name, T& into, double low, double high, const std::string& help) {
+T& Options::value_in(const std::string& name, T usual, double low, double high, const std::string& help) {
   using Number = typename Plain<T>::type;
   constexpr bool kReal = std::is_floating_point_v<Number>;
   const std::string range = kReal ? fmt::format("{} to {}", low, high)
                                   : fmt::format("{} to {}", static_cast<long long>(low), static_cast<long long>(high));
+  T& into = kept(std::move(usual));
   CLI::Option& word = option(name, kReal ? "X" : "N", into, help);
   if constexpr (kReal) {  // NaN is in no range
     word.check(number_that(range, [low, high](double value) { return value >= low && value <= high; }));
   } else {
     word.transform(whole_number_in(range, low, high));
   }
+  return into;
 }
-template void VerbWords::value_in(const std::string&, int&, double, double, const std::string&);
-template void VerbWords::value_in(const std::string&, long long&, double, double, const std::string&);
-template void VerbWords::value_in(const std::string&, double&, double, double, const std::string&);
-template void VerbWords::value_in(const std::string&, std::optional<int>&, double, double, const std::string&);
-template void VerbWords::value_in(const std::string&, std::optional<long long>&, double, double, const std::string&);
-template void VerbWords::value_in(const std::string&, std::optional<double>&, double, double, const std::string&);
+template int& Options::value_in(const std::string&, int, double, double, const std::string&);
+template long long& Options::value_in(const std::string&, long long, double, double, const std::string&);
+template double& Options::value_in(const std::string&, double, double, double, const std::string&);
+template std::optional<int>& Options::value_in(const std::string&, std::optional<int>, double, double,
+                                               const std::string&);
+template std::optional<long long>& Options::value_in(const std::string&, std::optional<long long>, double, double,
+                                                     const std::string&);
 
-template <class T>
-void VerbWords::positive(const std::string& name, T& into, const std::string& help) {
+std::optional<double>& Options::positive(const std::string& name, const std::string& help) {
+  std::optional<double>& into = kept(std::optional<double>());
   option(name, "X", into, help).check(number_that("more than 0", [](double v) { return v > 0 && std::isfinite(v); }));
-}
-template void VerbWords::positive(const std::string&, double&, const std::string&);
-template void VerbWords::positive(const std::string&, std::optional<double>&, const std::string&);
-
-void VerbWords::choice(const std::string& name, std::string& into, const std::vector<std::string>& choices,
-                       const std::string& help) {
-  CLI::Option& word = option(name, "WORD", into, help);
-  word.check(one_of(choices));
-  offered_[&word] = choices;
+  return into;
 }
 
-void VerbWords::required(const std::string& name, std::string& into, const std::string& help) {
-  option(name, "VALUE", into, help).required();
+std::string& Options::choice(const std::string& name, std::string usual, const std::vector<std::string>& choices,
+                             const std::string& help) {
+  std::string& into = value(name, help, std::move(usual), choices);
+  at_.verb.get_option(name.substr(0, name.find(' ')))->check(one_of(choices));
+  return into;
 }
 
-void VerbWords::repeated(const std::string& name, std::vector<std::string>& into, const std::string& help) {
+std::string& Options::required(const std::string& name, const std::string& help) {
+  std::string& into = value(name, help);
+  at_.verb.get_option(name.substr(0, name.find(' ')))->required();
+  return into;
+}
+
+std::vector<std::string>& Options::repeated(const std::string& name, const std::string& help) {
+  std::vector<std::string>& into = kept(std::vector<std::string>());
   take_one_each(option(name, "VALUE", into, help));
+  return into;
 }
 
-void VerbWords::list(const std::string& name, std::vector<std::string>& into, const std::string& help,
-                     const std::vector<std::string>& choices) {
+std::vector<std::string>& Options::list(const std::string& name, const std::string& help,
+                                        const std::vector<std::string>& choices) {
+  std::vector<std::string>& into = kept(std::vector<std::string>());
   const std::size_t blank = name.find(' ');
   const std::string flag = name.substr(0, blank);
   // CLI11's own delimiter drops what is empty between two commas.
@@ -185,57 +213,61 @@ void VerbWords::list(const std::string& name, std::vector<std::string>& into, co
       }
     }
   };
-  CLI::Option& word = *verb_.add_option_function<std::vector<std::string>>(flag, take, help);
+  CLI::Option& word = *at_.verb.add_option_function<std::vector<std::string>>(flag, take, help);
   take_one_each(word);
   word.type_name((blank == std::string::npos ? "LIST" : name.substr(blank + 1)) +
                  (choices.empty() ? "" : ":{" + join(choices, ",") + "}"));
-  if (!choices.empty()) offered_[&word] = choices;
+  if (!choices.empty()) at_.offered[&word] = choices;
+  return into;
 }
 
-void VerbWords::setting(std::vector<std::string>& set, const std::string& name, const std::string& key,
-                        const std::string& help, std::vector<std::string> offered) {
+void Options::setting(std::vector<std::string>& set, const std::string& name, const std::string& key,
+                      const std::string& help, std::vector<std::string> offered) {
   const std::size_t blank = name.find(' ');
   const std::string flag = name.substr(0, blank);
   const std::function<void(const std::string&)> take = [&set, flag, key](const std::string& value) {
     set.push_back(flag + " " + key + "=" + value);
   };
-  offered_[verb_.add_option_function(flag, take, help)->type_name(name.substr(blank + 1))] = std::move(offered);
+  at_.offered[at_.verb.add_option_function(flag, take, help)->type_name(name.substr(blank + 1))] = std::move(offered);
 }
 
-void VerbWords::threads(std::vector<std::string>& set) {
+void Options::threads(std::vector<std::string>& set) {
   setting(set, "--threads N", "runtime.threads", "CPU threads; results do not depend on it (default: runtime.threads)");
 }
 
-void VerbWords::device(std::vector<std::string>& set) {
+void Options::device(std::vector<std::string>& set) {
   setting(set, "--device DEVICE", "runtime.device", "auto, cpu, cuda or cuda:N (default: runtime.device)",
           {"auto", "cpu", "cuda"});
 }
 
-void VerbWords::config(ConfigOptions& options) {
-  operand("config", options.config, "configuration file (YAML)");
-  repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
+std::vector<std::string>& Options::settings() {
+  return repeated("--set KEY=VALUE", "override a value: --set train.rays=2048");
 }
 
-void VerbWords::run_settings(std::vector<std::string>& set) {
-  repeated("--set KEY=VALUE", set, "override a value of run.yaml");
+std::vector<std::string>& Options::run_settings() {
+  std::vector<std::string>& set = repeated("--set KEY=VALUE", "override a value of run.yaml");
   threads(set);
+  return set;
 }
 
-void VerbWords::length(LengthWords& words) {
+LengthWords Options::training_length() {
   constexpr double kMostSteps = 1e9;
-  value("--time TIME", words.time,
-        "train for this long, 90s, 5m or 1h: steps and schedule are settled by the rate of the first steps");
-  value_in("--steps N", words.steps, 1, kMostSteps,
-           "train this many steps, with the schedule of that length (default: train.steps)");
+  const LengthWords words{
+      value("--time TIME",
+            "train for this long, 90s, 5m or 1h: steps and schedule are settled by the rate of the first steps"),
+      value_in<std::optional<long long>>(
+          "--steps N", {}, 1, kMostSteps,
+          "train this many steps, with the schedule of that length (default: train.steps)")};
   excludes("--steps", "--time");
+  return words;
 }
 
-void VerbWords::needs(const std::string& name, const std::string& other) {
-  verb_.get_option(name)->needs(verb_.get_option(other));
+void Options::needs(const std::string& name, const std::string& other) {
+  at_.verb.get_option(name)->needs(at_.verb.get_option(other));
 }
 
-void VerbWords::excludes(const std::string& name, const std::string& other) {
-  verb_.get_option(name)->excludes(verb_.get_option(other));
+void Options::excludes(const std::string& name, const std::string& other) {
+  at_.verb.get_option(name)->excludes(at_.verb.get_option(other));
 }
 
 AskedLength asked_length(const LengthWords& words) {
@@ -343,8 +375,7 @@ struct Program {
     }
     made->footer(std::string("Also -q, --plugin") + (verb.json ? ", --json" : "") + ": see `" + program_name() +
                  " help`.");
-    VerbWords words(*made, offered);
-    Verb::Run run = verb.declare(words);
+    Verb::Run run = verb.declare({*made, offered});
     verbs.emplace(made, Bound{std::move(verb), std::move(run)});
   }
 
@@ -478,38 +509,6 @@ void settle_verb(const Program& program, std::vector<std::string>& words) {
   }
 }
 
-// What completion offers: candidates begin with `head`, which is there already; `rest` is what was typed behind it.
-class Offer {
- public:
-  Offer(std::string head, std::string rest) : head_(std::move(head)), rest_(std::move(rest)) {}
-
-  void add(const std::string& word, const std::string& sentence = "") {
-    if (word.starts_with(rest_)) lines_ += head_ + word + "\t" + sentence + "\n";
-  }
-  // What completes a value or an operand.
-  void add_values(const CLI::Option& of, const std::vector<std::string>& values) {
-    const std::string value = of.get_positional() ? of.get_name(true) : of.get_type_name();
-    const auto is = [&](std::initializer_list<const char*> names) {  // "CONFIG_A" too
-      return std::any_of(names.begin(), names.end(), [&](const char* name) { return value.starts_with(name); });
-    };
-    if (is({"LIST"}) && !values.empty()) {
-      kind_ = "list";
-      const std::size_t items = rest_.rfind(',') + 1;
-      head_ += rest_.substr(0, items);
-      rest_.erase(0, items);
-    } else if (is({"FILE", "PATH", "CONFIG", "TABLE", "PAGE", "PROGRAM"})) {
-      kind_ = "files";
-    } else if (is({"FOLDER", "RUN"})) {
-      kind_ = "folders";
-    }
-    for (const std::string& one : values) add(one);
-  }
-  std::string text() const { return kind_ + "\n" + lines_; }
-
- private:
-  std::string head_, rest_, kind_ = "words", lines_;
-};
-
 // What the last of `words`, which may be empty, may become. The first line is "words", "files", "folders" (of which the
 // shell offers its own next to the candidates) or "list" (more may follow without a blank); then a line for each
 // candidate: it, a tab and a sentence. A word "=" alone stands between an option and its value, as bash cuts them.
@@ -536,41 +535,58 @@ std::string completions(const std::vector<std::string>& words) {
       ++operands;
     }
   }
-  std::string current = words.empty() || words.back() == "=" ? "" : words.back(), head;
-  if (const std::size_t equals = current.find('='); current.starts_with("--") && equals != std::string::npos) {
-    head = current.substr(0, equals + 1);
-    open = option_named(current.substr(0, equals));
-    current.erase(0, equals + 1);
+  // Candidates begin with `head`, which is there already; `rest` is what was typed behind it.
+  std::string rest = words.empty() || words.back() == "=" ? "" : words.back(), head, kind = "words", lines;
+  if (const std::size_t equals = rest.find('='); rest.starts_with("--") && equals != std::string::npos) {
+    head = rest.substr(0, equals + 1);
+    open = option_named(rest.substr(0, equals));
+    rest.erase(0, equals + 1);
     if (open == nullptr) return "words\n";
   }
-  const auto values_of = [&](const CLI::Option* option) {
-    const auto found = program.offered.find(option);
-    return found == program.offered.end() ? std::vector<std::string>() : found->second;
+  const auto add = [&](const std::string& word, const std::string& sentence = "") {
+    if (word.starts_with(rest)) lines += head + word + "\t" + sentence + "\n";
   };
-  Offer offer(head, current);
-  const bool flag = current.starts_with('-');
+  const auto add_values = [&](const CLI::Option& of) {
+    const auto offered = program.offered.find(&of);
+    const bool none = offered == program.offered.end() || offered->second.empty();
+    const std::string value = of.get_positional() ? of.get_name(true) : of.get_type_name();
+    const auto is = [&](std::initializer_list<const char*> names) {  // "CONFIG_A" too
+      return std::any_of(names.begin(), names.end(), [&](const char* name) { return value.starts_with(name); });
+    };
+    if (is({"LIST"}) && !none) {
+      kind = "list";
+      const std::size_t items = rest.rfind(',') + 1;
+      head += rest.substr(0, items);
+      rest.erase(0, items);
+    } else if (is({"FILE", "PATH", "CONFIG", "TABLE", "PAGE", "PROGRAM"})) {
+      kind = "files";
+    } else if (is({"FOLDER", "RUN"})) {
+      kind = "folders";
+    }
+    if (none) return;
+    for (const std::string& one : offered->second) add(one);
+  };
+  const bool flag = rest.starts_with('-');
   const std::vector<const CLI::Option*> places =
       at->get_options([](const CLI::Option* option) { return option->get_positional(); });
   if (open != nullptr) {
-    offer.add_values(*open, values_of(open));
+    add_values(*open);
   } else if (!flag && !below(*at).empty()) {
-    for (const CLI::App* verb : below(*at)) offer.add(verb->get_name(), verb->get_description());
+    for (const CLI::App* verb : below(*at)) add(verb->get_name(), verb->get_description());
   } else if (!flag && !places.empty() && (operands < places.size() || places.back()->get_allow_extra_args())) {
-    const CLI::Option* next = places[std::min(operands, places.size() - 1)];
-    offer.add_values(*next, values_of(next));
+    add_values(*places[std::min(operands, places.size() - 1)]);
   } else {
     const auto bound = program.verbs.find(at);
-    for (const CLI::App* app : {at, &program.app}) {
-      for (const CLI::Option* option : flags_of(*app)) {
+    const bool json = bound == program.verbs.end() || bound->second.verb.json;
+    for (const CLI::Option* option : flags_of(*at)) add("--" + option->get_lnames().front(), option->get_description());
+    if (at != &program.app) {
+      for (const CLI::Option* option : flags_of(program.app)) {
         const std::string& name = option->get_lnames().front();
-        if (app != at && name == "version") continue;
-        if (app != at && bound != program.verbs.end() && name == "json" && !bound->second.verb.json) continue;
-        offer.add("--" + name, option->get_description());
+        if (name != "version" && (json || name != "json")) add("--" + name, option->get_description());
       }
-      if (at == &program.app) break;
     }
   }
-  return offer.text();
+  return kind + "\n" + lines;
 }
 
 // As one of several processes that a launcher started.

@@ -20,16 +20,10 @@ class Option;
 
 namespace semfield::app {
 
-/// A configuration, and what `--set a.b=c` and the flags that are short forms of it say.
-struct ConfigOptions {
-  std::string config;
-  std::vector<std::string> set;
-};
-
 /// `--time 90s` and `--steps N` of the verbs that train.
 struct LengthWords {
-  std::string time;  ///< "90s", "5m", "1h"
-  std::optional<long long> steps;
+  const std::string& time;  ///< "90s", "5m", "1h"
+  const std::optional<long long>& steps;
 };
 
 /// Throws Error(usage) for what is no positive time such as 90s, 5m or 1h.
@@ -38,54 +32,63 @@ AskedLength asked_length(const LengthWords& words);
 /// Values that completion offers for an option or an operand.
 using OfferedValues = std::map<const CLI::Option*, std::vector<std::string>>;
 
-/// The words that a verb takes, declared one by one. Values are written when the command line is read, into variables
-/// that live as long as the verb.
+/// Where a verb declares its words.
+struct Declaration {
+  CLI::App& verb;
+  OfferedValues& offered;
+};
+
+/// The words that a verb takes: a struct that derives from this has a reference for each, made by the call that
+/// declares it. Values are written when the command line is read.
 ///
 /// The name of an option is followed by what stands for its value, "--out FOLDER": FILE, PATH and CONFIG complete to
-/// files, FOLDER and RUN to folders. A value that the variable holds already is stated as the default. A number has a
-/// range, which is checked here and stated in the help.
-class VerbWords {
+/// files, FOLDER and RUN to folders. A usual value that is not empty is stated as the default. A number has a range,
+/// which is checked here and stated in the help.
+class Options {
  public:
-  VerbWords(CLI::App& verb, OfferedValues& offered) : verb_(verb), offered_(offered) {}
+  explicit Options(const Declaration& at) : at_(at) {}
+  Options(const Options&) = delete;
+  Options& operator=(const Options&) = delete;
 
-  /// A word that must be there, or one or several into a list; "[name]" may be left out. One that must be there is one
-  /// of `offered`, if any are; completion alone offers those of others.
-  template <class T>
-  void operand(const std::string& name, T& into, const std::string& help, std::vector<std::string> offered = {});
+ protected:
+  /// A word that must be there; "[name]" may be left out. One that must be there is one of `offered`, if any are;
+  /// completion alone offers those of others.
+  std::string& operand(const std::string& name, const std::string& help, std::vector<std::string> offered = {});
+  /// One or several.
+  std::vector<std::string>& operands(const std::string& name, const std::string& help,
+                                     std::vector<std::string> offered = {});
 
-  void flag(const std::string& name, bool& into, const std::string& help);
+  bool& flag(const std::string& name, const std::string& help);
   /// `offered` are values that completion offers; others are taken too.
-  void value(const std::string& name, std::string& into, const std::string& help,
-             std::vector<std::string> offered = {});
+  std::string& value(const std::string& name, const std::string& help, std::string usual = {},
+                     std::vector<std::string> offered = {});
   /// T is int, long long, double or an optional of one.
   template <class T>
-  void value_in(const std::string& name, T& into, double low, double high, const std::string& help);
-  /// A finite number above 0. T is double or an optional of it.
-  template <class T>
-  void positive(const std::string& name, T& into, const std::string& help);
+  T& value_in(const std::string& name, T usual, double low, double high, const std::string& help);
+  /// A finite number above 0.
+  std::optional<double>& positive(const std::string& name, const std::string& help);
   /// One of `choices`.
-  void choice(const std::string& name, std::string& into, const std::vector<std::string>& choices,
-              const std::string& help);
-  void required(const std::string& name, std::string& into, const std::string& help);
+  std::string& choice(const std::string& name, std::string usual, const std::vector<std::string>& choices,
+                      const std::string& help);
+  std::string& required(const std::string& name, const std::string& help);
   /// May be given several times, a value each.
-  void repeated(const std::string& name, std::vector<std::string>& into, const std::string& help);
+  std::vector<std::string>& repeated(const std::string& name, const std::string& help);
   /// Values with commas between them; with `choices`, each is one of them.
-  void list(const std::string& name, std::vector<std::string>& into, const std::string& help,
-            const std::vector<std::string>& choices = {});
+  std::vector<std::string>& list(const std::string& name, const std::string& help,
+                                 const std::vector<std::string>& choices = {});
 
+  /// `--set` of a configuration.
+  std::vector<std::string>& settings();
   /// A short form of `--set KEY=...`: added behind `--set`, whose values it follows; whoever reads the configuration
   /// checks the value.
   void setting(std::vector<std::string>& set, const std::string& name, const std::string& key, const std::string& help,
                std::vector<std::string> offered = {});
   void threads(std::vector<std::string>& set);
   void device(std::vector<std::string>& set);
-  /// A configuration file and `--set`.
-  void config(ConfigOptions& options);
   /// `--set` and `--threads` of a verb that opens a run.
-  void run_settings(std::vector<std::string>& set);
-
+  std::vector<std::string>& run_settings();
   /// Of which a command line has one.
-  void length(LengthWords& words);
+  LengthWords training_length();
 
   /// Of options declared before.
   void needs(const std::string& name, const std::string& other);
@@ -93,9 +96,14 @@ class VerbWords {
 
  private:
   template <class T>
+  T& kept(T usual);
+  template <class T>
   CLI::Option& option(const std::string& name, const char* usual_value, T& into, const std::string& help);
-  CLI::App& verb_;
-  OfferedValues& offered_;
+  template <class T>
+  T& take_operands(const std::string& name, const std::string& help, std::vector<std::string> offered);
+
+  Declaration at_;
+  std::vector<std::shared_ptr<void>> kept_;
 };
 
 /// What a verb does as one of several processes that mpirun or srun started.
@@ -112,20 +120,18 @@ struct Verb {
   std::string name;  ///< "train"; "config check" is the verb `check` of the group `config`
   int rank = 0;      ///< the help lists verbs in this order, those of a group among themselves
   std::string sentence;
-  std::function<Run(VerbWords&)> declare;  ///< what runs when the words are read; empty: a group
+  std::function<Run(const Declaration&)> declare;  ///< what runs when the words are read; empty: a group
   Launch launch = Launch::alone;
   bool json = true;  ///< takes --json, and then prints its results by print_json() (app/json_output.h)
 };
 
-/// `words` declares what `run` gets; `run` returns the exit code.
-template <class Options>
-Verb make_verb(std::string name, int rank, std::string sentence, void (*words)(VerbWords&, Options&),
-               int (*run)(const Options&, AppContext&), Launch launch = Launch::alone) {
+/// `run` gets the words that Words declares, and returns the exit code.
+template <class Words>
+Verb make_verb(std::string name, int rank, std::string sentence, int (*run)(const Words&, AppContext&),
+               Launch launch = Launch::alone) {
   return {std::move(name), rank, std::move(sentence),
-          [words, run](VerbWords& to) -> Verb::Run {
-            auto options = std::make_shared<Options>();
-            words(to, *options);
-            return [options, run](AppContext& context) { return run(*options, context); };
+          [run](const Declaration& at) -> Verb::Run {
+            return [words = std::make_shared<Words>(at), run](AppContext& context) { return run(*words, context); };
           },
           launch};
 }

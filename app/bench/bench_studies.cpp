@@ -158,7 +158,8 @@ StepCaseOptions options_of(const GpuCase& c) {
   StepCaseOptions o;
   const bool hash = c.net == std::string_view("hash");
   o.config = shared_file(hash ? "configs/bench/hash_step.yaml" : "configs/paper.yaml");
-  o.set = {"runtime.device=cuda", std::string("runtime.precision=") + c.precision};
+  o.set = {"runtime.device=cuda"};
+  if (c.precision == std::string_view("bf16")) o.set.emplace_back("runtime.precision=bf16");
   if (c.deterministic) o.set.emplace_back("runtime.deterministic=true");
   o.classes = c.classes;
   if (!hash) return o;

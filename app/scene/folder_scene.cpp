@@ -603,20 +603,18 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
     FrameBuffer pixels;
     scene.read(static_cast<int>(i), pixels);
     const MapSize size{pixels.width_px, pixels.height_px};
-    const auto path = [&](const char* kind, const std::string& end) {
+    Json one;
+    const auto file = [&](const char* key, const char* kind, const std::string& end) {
       const std::string name = std::string(kind) + "/" + frame.name + end;
       create_folders((out / name).parent_path().string());
-      return name;
+      one[key] = name;
+      return (out / name).string();
     };
-    Json one;
-    const std::string end = fs::path(frame.source).extension().string();
     if (is_photograph_file(frame) && frame.orientation == 1) {
-      one["file_path"] = path("images", end);
-      write_file_atomic((out / one["file_path"].get<std::string>()).string(),
+      write_file_atomic(file("file_path", "images", fs::path(frame.source).extension().string()),
                         read_text_file(frame.source, std::size_t{1} << 32));
     } else {
-      one["file_path"] = path("images", ".png");
-      write_png_rgb((out / one["file_path"].get<std::string>()).string(), size.width_px, size.height_px, pixels.rgb);
+      write_png_rgb(file("file_path", "images", ".png"), size.width_px, size.height_px, pixels.rgb);
     }
     (frame.split == Split::test ? test : train).push_back(one["file_path"]);
     if (frame.split == Split::unused) train.erase(train.size() - 1);
@@ -627,24 +625,17 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
       double farthest = 0;
       for (const float d : pixels.depth_m) farthest = std::max(farthest, std::isfinite(d) ? static_cast<double>(d) : 0);
       const double step = step_for(farthest);
-      one["depth_path"] = path("depth", ".png");
+      write_depth(file("depth_path", "depth", ".png"), size, pixels.depth_m, step);
       one["depth_unit_m"] = step;
-      write_depth((out / one["depth_path"].get<std::string>()).string(), size, pixels.depth_m, step);
     }
-    if (frame.has_labels) {
-      one["label_path"] = path("label", ".png");
-      write_label_ids((out / one["label_path"].get<std::string>()).string(), size, pixels.label, classes);
-    }
-    if (frame.has_instances) {
-      one["instance_path"] = path("instance", ".png");
-      write_png_gray16((out / one["instance_path"].get<std::string>()).string(), size.width_px, size.height_px,
+    if (frame.has_labels) write_label_ids(file("label_path", "label", ".png"), size, pixels.label, classes);
+    if (frame.has_instances)
+      write_png_gray16(file("instance_path", "instance", ".png"), size.width_px, size.height_px,
                        instance_ids(frame, pixels));
-    }
     if (!pixels.used.empty()) {
-      one["mask_path"] = path("mask", ".png");
       std::vector<std::uint8_t> used;
       for (const std::uint8_t u : pixels.used) used.push_back(u != 0 ? 255 : 0);
-      write_png_gray8((out / one["mask_path"].get<std::string>()).string(), size.width_px, size.height_px, used);
+      write_png_gray8(file("mask_path", "mask", ".png"), size.width_px, size.height_px, used);
     }
     one["transform_matrix"] = matrix_json(cameras.poses[i], true);
     const Json lens = lens_json(cameras.cameras[i]);

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <cstdio>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -14,39 +15,23 @@ namespace semfield::app {
 
 namespace {
 
-struct CheckNumericsOptions {
-  std::vector<std::string> only;  ///< beginnings of ids; empty: every case
-};
-
-struct Counts {
-  int passed = 0, failed = 0, absent = 0, cases = 0;
+struct CheckNumericsOptions : Options {
+  using Options::Options;
+  const std::vector<std::string>& only = list("--only LIST", "case ids or prefixes of them: --only A,C03");
 };
 
 // By case: failed in one precision is failed; absent only when no precision of it exists.
-Counts count_cases(const std::vector<NumericsRow>& rows) {
-  std::set<std::string> all, failed, passed;
-  for (const NumericsRow& row : rows) {
-    all.insert(row.id);
-    if (row.status == NumericsStatus::failed) failed.insert(row.id);
-    if (row.status == NumericsStatus::passed) passed.insert(row.id);
-  }
-  Counts counts;
-  counts.cases = static_cast<int>(all.size());
-  for (const std::string& id : all) {
-    if (failed.contains(id)) {
-      ++counts.failed;
-    } else if (passed.contains(id)) {
-      ++counts.passed;
-    } else {
-      ++counts.absent;
-    }
+std::map<NumericsStatus, int> count_cases(const std::vector<NumericsRow>& rows) {
+  std::map<std::string, std::set<NumericsStatus>> cases;
+  for (const NumericsRow& row : rows) cases[row.id].insert(row.status);
+  std::map<NumericsStatus, int> counts{
+      {NumericsStatus::passed, 0}, {NumericsStatus::failed, 0}, {NumericsStatus::absent, 0}};
+  for (const auto& [id, of] : cases) {
+    ++counts[of.contains(NumericsStatus::failed)   ? NumericsStatus::failed
+             : of.contains(NumericsStatus::passed) ? NumericsStatus::passed
+                                                   : NumericsStatus::absent];
   }
   return counts;
-}
-
-std::string last_line(const Counts& counts) {
-  return fmt::format("check-numerics: passed={} failed={} cases={}{}", counts.passed, counts.failed, counts.cases,
-                     counts.absent > 0 ? fmt::format(" absent={}", counts.absent) : "");
 }
 
 const char* status_text(const NumericsRow& row) {
@@ -85,9 +70,8 @@ void print_table(const std::vector<NumericsRow>& rows) {
   }
 }
 
-Json results(const std::vector<NumericsRow>& rows) {
-  const Counts counts = count_cases(rows);
-  Json out = {{"passed", counts.passed}, {"failed", counts.failed}, {"absent", counts.absent}, {"cases", counts.cases}};
+Json results(const std::vector<NumericsRow>& rows, int passed, int failed, int absent) {
+  Json out = {{"passed", passed}, {"failed", failed}, {"absent", absent}, {"cases", passed + failed + absent}};
   out["rows"] = Json::array();
   for (const NumericsRow& row : rows) {
     out["rows"].push_back({{"id", row.id},
@@ -111,25 +95,24 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
       part_symbol("semfield_numerics", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded"));
   std::vector<NumericsRow> rows;
   suite(context.registry, options.only, rows);
+  const std::map<NumericsStatus, int> counts = count_cases(rows);
+  const int passed = counts.at(NumericsStatus::passed), failed = counts.at(NumericsStatus::failed);
+  const int absent = counts.at(NumericsStatus::absent);
   if (context.json) {
-    print_json(context, results(rows));
+    print_json(context, results(rows, passed, failed, absent));
   } else {
     print_table(rows);
+    std::printf("check-numerics: passed=%d failed=%d cases=%d%s\n", passed, failed, passed + failed + absent,
+                absent > 0 ? fmt::format(" absent={}", absent).c_str() : "");
   }
-  const Counts counts = count_cases(rows);
-  if (!context.json) std::printf("%s\n", last_line(counts).c_str());
-  return counts.failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
-}
-
-void words(VerbWords& verb, CheckNumericsOptions& options) {
-  verb.list("--only LIST", options.only, "case ids or prefixes of them: --only A,C03");
+  return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
 }  // namespace
 
 Verb verb_check_numerics() {
   return make_verb<CheckNumericsOptions>("check-numerics", 190,
-                                         "check stiff and extreme cases against their references", words, run);
+                                         "check stiff and extreme cases against their references", run);
 }
 
 }  // namespace semfield::app

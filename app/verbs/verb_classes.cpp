@@ -12,12 +12,17 @@ namespace semfield::app {
 
 namespace {
 
-struct ClassesOptions {
-  std::string in;               ///< file, or the name of a published table
-  std::string format = "yaml";  ///< yaml, csv or cvat
-  std::string ids = "raw";      ///< of ScanNet's table: raw, nyu40 or nyu13
-  std::string colors = "keep";  ///< keep, pascal or semfield
-  std::string out;              ///< file; "" = stdout
+struct ClassesOptions : Options {
+  using Options::Options;
+  const std::string& in =
+      operand("table", "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20");
+  const std::string& format =
+      choice("--format FORMAT", "yaml", {"yaml", "csv", "cvat"}, "form of the table that is written");
+  const std::string& ids =
+      choice("--ids IDS", "raw", {"raw", "nyu40", "nyu13"}, "ids to take from ScanNet's .tsv: raw, nyu40 or nyu13");
+  const std::string& colors = choice("--colors COLORS", "keep", {"keep", "pascal", "semfield"},
+                                     "keep them, or pascal (VOC's bit pattern) or semfield");
+  const std::string& out = value("--out FILE", "file to write (default: stdout)");
 };
 
 ClassTable table_of(const ClassesOptions& options) {
@@ -76,22 +81,10 @@ int run(const ClassesOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ClassesOptions& options) {
-  verb.operand("table", options.in,
-               "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20");
-  verb.choice("--format FORMAT", options.format, {"yaml", "csv", "cvat"}, "form of the table that is written");
-  verb.choice("--ids IDS", options.ids, {"raw", "nyu40", "nyu13"},
-              "ids to take from ScanNet's .tsv: raw, nyu40 or nyu13");
-  verb.choice("--colors COLORS", options.colors, {"keep", "pascal", "semfield"},
-              "keep them, or pascal (VOC's bit pattern) or semfield");
-  verb.value("--out FILE", options.out, "file to write (default: stdout)");
-}
-
 }  // namespace
 
 Verb verb_classes() {
-  return make_verb<ClassesOptions>("classes", 140, "convert class tables from and to the formats of other tools", words,
-                                   run);
+  return make_verb<ClassesOptions>("classes", 140, "convert class tables from and to the formats of other tools", run);
 }
 
 }  // namespace semfield::app

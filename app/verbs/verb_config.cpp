@@ -17,18 +17,24 @@ namespace {
 
 // config check: every error reported.
 
-int check(const ConfigOptions& options, AppContext& context) {
+struct ConfigWords : Options {
+  using Options::Options;
+  const std::string& config = operand("config", "configuration file (YAML)");
+  const std::vector<std::string>& set = settings();
+};
+
+int check(const ConfigWords& options, AppContext& context) {
   load_run_config(options.config, options.set, context.registry);
   print_results(context, {{"config", options.config}, {"errors", 0}}, options.config + ": no errors");
   return 0;
 }
 
-void config_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
-
 // config diff: what differs between two configurations.
 
-struct DiffOptions {
-  std::string a, b;
+struct DiffOptions : Options {
+  using Options::Options;
+  const std::string& a = operand("config_a", "configuration file (YAML), such as a run.yaml");
+  const std::string& b = operand("config_b", "the other one");
 };
 
 int run(const DiffOptions& options, AppContext& context) {
@@ -48,11 +54,6 @@ int run(const DiffOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, DiffOptions& options) {
-  verb.operand("config_a", options.a, "configuration file (YAML), such as a run.yaml");
-  verb.operand("config_b", options.b, "the other one");
-}
-
 // config explain: the final tree, with where each value comes from.
 
 // What stands as `auto` is settled when a session opens; each such setting's sentence, as comments below the tree.
@@ -70,7 +71,7 @@ std::string open_choices(const ConfigNode& tree) {
   return out;
 }
 
-int explain(const ConfigOptions& options, AppContext& context) {
+int explain(const ConfigWords& options, AppContext& context) {
   const ConfigNode written = compose_config(options.config, options.set);
   const RunConfig config = load_run_config(options.config, options.set, context.registry);
   const ConfigNode tree = with_origins(resolved_config(config), written);
@@ -87,8 +88,9 @@ int explain(const ConfigOptions& options, AppContext& context) {
 
 // config schema: the JSON schema of configurations, or of sweep files.
 
-struct SchemaOptions {
-  bool of_sweeps = false;
+struct SchemaOptions : Options {
+  using Options::Options;
+  const bool& of_sweeps = flag("--sweep", "print the schema of sweep files instead");
 };
 
 int run(const SchemaOptions& options, AppContext& context) {
@@ -100,31 +102,25 @@ int run(const SchemaOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, SchemaOptions& options) {
-  verb.flag("--sweep", options.of_sweeps, "print the schema of sweep files instead");
-}
-
 }  // namespace
 
 Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
 
 Verb verb_config_check() {
-  return make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", config_words,
-                                  check);
+  return make_verb<ConfigWords>("config check", 10, "read a configuration and report every error", check);
 }
 
 Verb verb_config_diff() {
-  return make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run);
+  return make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", run);
 }
 
 Verb verb_config_explain() {
-  return make_verb<ConfigOptions>("config explain", 20, "print the final tree, with the origin of every value",
-                                  config_words, explain);
+  return make_verb<ConfigWords>("config explain", 20, "print the final tree, with the origin of every value", explain);
 }
 
 Verb verb_config_schema() {
-  return without_json(make_verb<SchemaOptions>(
-      "config schema", 40, "print a JSON schema of configurations (and --plugin modules)", words, run));
+  return without_json(make_verb<SchemaOptions>("config schema", 40,
+                                               "print a JSON schema of configurations (and --plugin modules)", run));
 }
 
 }  // namespace semfield::app

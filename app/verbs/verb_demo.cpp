@@ -24,21 +24,21 @@ namespace {
 
 constexpr const char* kOwnFolder = "runs/demo";
 
-struct DemoOptions {
-  std::string out;
-  LengthWords length;
-  std::vector<std::string> set;
+struct DemoOptions : Options {
+  explicit DemoOptions(const Declaration& at) : Options(at) { threads(set); }
+  const std::string& out =
+      value("--out FOLDER", "run folder to create (default: runs/demo, whose earlier demo is replaced)");
+  std::vector<std::string>& set = settings();
+  const LengthWords length = training_length();
 };
 
 // How a person starts this program: by its name where PATH leads to it.
 std::string typed_program() {
   const fs::path own = own_program();
-  const char* const folders = std::getenv("PATH");
-  std::istringstream stream(folders == nullptr ? "" : folders);
-  for (std::string folder; std::getline(stream, folder, ':');) {
-    std::error_code unknown;
-    if (!folder.empty() && fs::equivalent(fs::path(folder) / own.filename(), own, unknown)) return own.filename();
-  }
+  std::error_code unknown;
+  if (const std::string found = program_in_path(own.filename().string());
+      !found.empty() && fs::equivalent(found, own, unknown))
+    return own.filename();
   const fs::path near = own.lexically_relative(fs::current_path());
   return shell_word(near.empty() || *near.begin() == ".." ? own.string() : near.string());
 }
@@ -145,18 +145,11 @@ int run(const DemoOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, DemoOptions& options) {
-  verb.value("--out FOLDER", options.out, "run folder to create (default: runs/demo, whose earlier demo is replaced)");
-  verb.repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
-  verb.length(options.length);
-  verb.threads(options.set);
-}
-
 }  // namespace
 
 Verb verb_demo() {
   return make_verb<DemoOptions>("demo", 5, "train on the shipped room, render its held-out views and write its mesh",
-                                words, run);
+                                run);
 }
 
 }  // namespace semfield::app

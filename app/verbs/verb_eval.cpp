@@ -22,12 +22,24 @@ namespace semfield::app {
 
 namespace {
 
-struct EvalOptions {
-  std::string run, out;
-  std::string split = "test";
-  std::string protocol;  ///< of eval/evaluator.h; "": none
-  bool refine_poses = false, fit_colors = false;
-  std::vector<std::string> set;
+struct EvalOptions : Options {
+  using Options::Options;
+  const std::string& run = operand("run", "run folder");
+  const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames to score");
+  const std::string& protocol =
+      choice("--protocol NAME", "", protocol_names(),
+             "also mIoU and accuracies by the classes and void pixels of a published evaluation, with a checksum of "
+             "the truth");
+  const std::string& out = value("--out FILE", "also write the JSON object to this file");
+  const bool& refine_poses =
+      flag("--refine-poses",
+           "score once more with poses of the frames fitted to the field, where they are not given to a pixel; always "
+           "where the run has learned poses");
+  const bool& fit_colors =
+      flag("--fit-colors",
+           "score colours once more, each half of a frame under the map of colours that fits the other half; always "
+           "where the run has learned colours");
+  const std::vector<std::string>& set = run_settings();
 };
 
 Json results(const OpenedRun& run, const SplitScore& score, const std::string& split) {
@@ -180,27 +192,11 @@ int run(const EvalOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, EvalOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to score");
-  verb.choice("--protocol NAME", options.protocol, protocol_names(),
-              "also mIoU and accuracies by the classes and void pixels of a published evaluation, with a checksum of "
-              "the truth");
-  verb.value("--out FILE", options.out, "also write the JSON object to this file");
-  verb.flag("--refine-poses", options.refine_poses,
-            "score once more with poses of the frames fitted to the field, where they are not given to a pixel; always "
-            "where the run has learned poses");
-  verb.flag("--fit-colors", options.fit_colors,
-            "score colours once more, each half of a frame under the map of colours that fits the other half; always "
-            "where the run has learned colours");
-  verb.run_settings(options.set);
-}
-
 }  // namespace
 
 Verb verb_eval() {
   return make_verb<EvalOptions>("eval", 20, "evaluate a run's field on a split, and keep the scores for its report",
-                                words, run, Launch::ranks);
+                                run, Launch::ranks);
 }
 
 }  // namespace semfield::app

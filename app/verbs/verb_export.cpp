@@ -28,15 +28,26 @@ namespace semfield::app {
 
 namespace {
 
-struct ExportVerbOptions {
-  std::string run;
-  std::string split = "test";
-  std::string format = "coco";        ///< coco, coco_rle, labelme or png
-  std::string size = "stored";        ///< or "trained"
-  std::string out;                    ///< file for COCO, folder for the others
-  std::string to;                     ///< an HTML file instead of labels
-  std::optional<long long> min_area;  ///< pixels; smaller regions take the class around them
-  std::vector<std::string> set;
+struct ExportVerbOptions : Options {
+  explicit ExportVerbOptions(const Declaration& at) : Options(at) { excludes("--to", "--out"); }
+  const std::string& run = operand("run", "run folder");
+  const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames to export");
+  const std::string& format = choice(
+      "--format FORMAT", "coco", {"coco", "coco_rle", "labelme", "png"},
+      "coco (polygons), coco_rle (run lengths), labelme, or png (label images with class ids, and classes.yaml)");
+  const std::string& size = choice(
+      "--size SIZE", "stored", {"stored", "trained"},
+      "size of the labels: stored, that of the images in their files, along whose edges the labels are brought; or "
+      "trained, the size at which the run loads them");
+  const std::optional<long long>& min_area = value_in<std::optional<long long>>(
+      "--min-area N", {}, 0, 1e9,
+      "merge regions of fewer pixels into the class around them; 0: none (default: 1/4096 of an image's pixels)");
+  const std::string& out = value("--out PATH", "file to write for COCO, folder for labelme and png");
+  const std::string& to =
+      value("--to FILE",
+            "instead of labels, one page that any browser opens without a network: FILE.html, with the mesh, its "
+            "classes and the objects that were found");
+  const std::vector<std::string>& set = run_settings();
 };
 
 constexpr long long kPageFaces = 2'000'000;      // about 20 MB
@@ -201,32 +212,11 @@ int run(const ExportVerbOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ExportVerbOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to export");
-  verb.choice(
-      "--format FORMAT", options.format, {"coco", "coco_rle", "labelme", "png"},
-      "coco (polygons), coco_rle (run lengths), labelme, or png (label images with class ids, and classes.yaml)");
-  verb.choice(
-      "--size SIZE", options.size, {"stored", "trained"},
-      "size of the labels: stored, that of the images in their files, along whose edges the labels are brought; or "
-      "trained, the size at which the run loads them");
-  verb.value_in(
-      "--min-area N", options.min_area, 0, 1e9,
-      "merge regions of fewer pixels into the class around them; 0: none (default: 1/4096 of an image's pixels)");
-  verb.value("--out PATH", options.out, "file to write for COCO, folder for labelme and png");
-  verb.value("--to FILE", options.to,
-             "instead of labels, one page that any browser opens without a network: FILE.html, with the mesh, its "
-             "classes and the objects that were found");
-  verb.excludes("--to", "--out");
-  verb.run_settings(options.set);
-}
-
 }  // namespace
 
 Verb verb_export() {
   return make_verb<ExportVerbOptions>(
-      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", words, run);
+      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", run);
 }
 
 }  // namespace semfield::app

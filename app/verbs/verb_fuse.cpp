@@ -28,12 +28,16 @@ namespace semfield::app {
 
 namespace {
 
-struct FuseOptions {
-  ConfigOptions config;
-  std::vector<std::string> methods;  ///< replace fuse.methods
-  std::string depth;                 ///< true or learned; replaces fuse.depth
-  std::string depth_from;            ///< run folder
-  std::string out;
+struct FuseOptions : Options {
+  explicit FuseOptions(const Declaration& at) : Options(at) { threads(set); }
+  const std::string& config = operand("config", "configuration file (YAML)");
+  std::vector<std::string>& set = settings();
+  const std::vector<std::string>& methods =
+      list("--method LIST", "ways to combine, with commas (default: fuse.methods)", choice_names<FusionMethod>());
+  const std::string& depth = choice("--depth DEPTH", "", {"true", "learned"}, "true or learned (default: fuse.depth)");
+  const std::string& depth_from =
+      value("--depth-from RUN", "run folder whose field gives depth, and another row of labels");
+  const std::string& out = value("--out FOLDER", "folder for the fused maps and fuse.json");
 };
 
 // The words of the command line over the section `fuse`.
@@ -139,7 +143,7 @@ void print_scores(const SceneFusion& fusion, const FusionParams& params) {
 int run(const FuseOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   std::optional<OpenedRun> run;
-  RunConfig config = load_run_config(options.config.config, options.config.set, context.registry);
+  RunConfig config = load_run_config(options.config, options.set, context.registry);
   context.adopt(config);
   apply(options, config.fuse);
   if (config.fuse.depth == FusionDepth::learned)
@@ -188,19 +192,14 @@ int run(const FuseOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, FuseOptions& options) {
-  verb.config(options.config);
-  verb.threads(options.config.set);
-  verb.list("--method LIST", options.methods, "ways to combine, with commas (default: fuse.methods)",
-            choice_names<FusionMethod>());
-  verb.choice("--depth DEPTH", options.depth, {"true", "learned"}, "true or learned (default: fuse.depth)");
-  verb.value("--depth-from RUN", options.depth_from, "run folder whose field gives depth, and another row of labels");
-  verb.value("--out FOLDER", options.out, "folder for the fused maps and fuse.json");
-}
-
-struct PropagateOptions {
-  std::string run, out;
-  std::vector<std::string> set;
+struct PropagateOptions : Options {
+  explicit PropagateOptions(const Declaration& at) : Options(at) {
+    setting(set, "--method METHOD", "propagate.method",
+            "surface (diffusion) or vote (pooling) (default: propagate.method)", choice_names<PropagationMethod>());
+  }
+  const std::string& run = operand("run", "run folder");
+  const std::string& out = required("--out FOLDER", "folder to create");
+  std::vector<std::string>& set = run_settings();
 };
 
 // Labels as they were and as they became: of all training pixels, and against the scene's own.
@@ -274,24 +273,15 @@ int run(const PropagateOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, PropagateOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.required("--out FOLDER", options.out, "folder to create");
-  verb.run_settings(options.set);
-  verb.setting(options.set, "--method METHOD", "propagate.method",
-               "surface (diffusion) or vote (pooling) (default: propagate.method)", choice_names<PropagationMethod>());
-}
-
 }  // namespace
 
 Verb verb_fuse() {
-  return make_verb<FuseOptions>("fuse", 110, "combine predictions of several views by depth, and score them", words,
-                                run);
+  return make_verb<FuseOptions>("fuse", 110, "combine predictions of several views by depth, and score them", run);
 }
 
 Verb verb_propagate() {
   return make_verb<PropagateOptions>("propagate", 120, "spread training labels over the surface that a run has learned",
-                                     words, run);
+                                     run);
 }
 
 }  // namespace semfield::app

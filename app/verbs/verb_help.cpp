@@ -13,9 +13,13 @@ namespace semfield::app {
 
 namespace {
 
-struct HelpOptions {
-  std::vector<std::string> verb;
-  std::string pages;  ///< copy of the tree's pages, in which those about the program are written
+struct HelpOptions : Options {
+  explicit HelpOptions(const Declaration& at) : Options(at) { excludes("--pages", "VERB"); }
+  const std::vector<std::string>& verb =
+      operands("[verb]", "verb, such as: train, config check (default: the list of all verbs)", words_of_verbs());
+  const std::string& pages =
+      value("--pages FOLDER",
+            "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
 };
 
 // Tables of every section of a configuration, under headings of their own.
@@ -63,18 +67,11 @@ int run(const HelpOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, HelpOptions& options) {
-  verb.operand("[verb]", options.verb, "verb, such as: train, config check (default: the list of all verbs)",
-               words_of_verbs());
-  verb.value("--pages FOLDER", options.pages,
-             "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
-  verb.excludes("--pages", "VERB");
-}
-
 // What shells read. It runs the program at each TAB: `semfield completion --of WORDS`.
 
-struct CompletionOptions {
-  std::string shell;
+struct CompletionOptions : Options {
+  using Options::Options;
+  const std::string& shell = operand("shell", "bash or zsh", {"bash", "zsh"});
 };
 
 constexpr const char* kBash = R"(# bash completion of semfield, made by `semfield completion bash`
@@ -128,17 +125,13 @@ int run(const CompletionOptions& options, AppContext&) {
   return 0;
 }
 
-void words(VerbWords& verb, CompletionOptions& options) {
-  verb.operand("shell", options.shell, "bash or zsh", {"bash", "zsh"});
-}
-
 }  // namespace
 
-Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", words, run)); }
+Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", run)); }
 
 Verb verb_completion() {
-  return without_json(make_verb<CompletionOptions>(
-      "completion", 220, "print a script that completes verbs and options in a shell", words, run));
+  return without_json(make_verb<CompletionOptions>("completion", 220,
+                                                   "print a script that completes verbs and options in a shell", run));
 }
 
 }  // namespace semfield::app

@@ -18,9 +18,12 @@ namespace semfield::app {
 
 namespace {
 
-struct InitOptions {
-  std::string folder, out, type;
-  bool replace = false;
+struct InitOptions : Options {
+  using Options::Options;
+  const std::string& folder = operand("folder", "folder of the scene, or an index in it");
+  const std::string& out = value("--out FILE", "configuration to write (default: configs/<folder>.yaml)");
+  const std::string& type = value("--type DATASET", "dataset that is to read it, where several could");
+  const bool& replace = flag("--replace", "write over a configuration that is there");
 };
 
 // As the file at `file` may say it: relative to its folder, unless that leads far up.
@@ -69,6 +72,51 @@ LoadedScene look_at(const FolderScene& found, AppContext& context, Diagnostics& 
   }
 }
 
+// `run`, or with the first number behind it that nothing has yet.
+std::string unused(const std::string& run) {
+  std::error_code unknown;
+  std::string free = run;
+  for (int number = 2; is_there(free) && !fs::is_empty(free, unknown); ++number)
+    free = run + "_" + std::to_string(number);
+  return free;
+}
+
+// Training, and labelling in a run of its own, so that either works after the other. A run that is there already keeps
+// its folder. `name` is of its runs; `set` is what --set and its short forms gave.
+std::vector<NextStep> next_of_config(const std::string& file, const std::string& name, bool labels,
+                                     const std::vector<std::string>& set = {},
+                                     const std::vector<std::string>& modules = {}) {
+  std::string words = " " + shell_word(file);
+  for (const std::string& module : modules) words += " --plugin " + shell_word(module);
+  for (const std::string& setting : set) {
+    // "--threads runtime.threads=2" was typed as "--threads 2".
+    const bool is_short = setting.starts_with("--");
+    words += " --set " + shell_word(is_short ? setting.substr(setting.find(' ') + 1) : setting);
+  }
+  // What suits the scene comes first and gets the folder that pages call the run.
+  const auto with_folder = [&](const char* verb, const std::string& ending, const char* what) -> NextStep {
+    const std::string usual = "runs/" + name, run = unused(usual + ending);
+    return {verb + words + (run == usual ? "" : " --out " + shell_word(run)), what + run};
+  };
+#ifdef SEMFIELD_WITH_SERVE
+  if (!labels)
+    return {with_folder("serve", "", "label by clicks while it trains; writes "),
+            with_folder("train", "_unlabelled", "trains without labels; writes ")};
+  return {with_folder("train", "", "writes "),
+          with_folder("serve", "_clicks", "label by clicks while it trains; writes ")};
+#else
+  return {with_folder("train", "", "writes ")};
+#endif
+}
+
+// What fixes the cameras of a scene that do not fit its photographs; none where they do. `scene` is its folder, or a
+// configuration; `name` is what it is called.
+std::vector<NextStep> next_of_cameras(bool off, const std::string& scene, const std::string& name) {
+  if (!off) return {};
+  return {{"prepare " + shell_word(scene) + " --out " + shell_word(unused(name + "_fixed")),
+           "fixes the cameras, in a scene of its own"}};
+}
+
 int run(const InitOptions& options, AppContext& context) {
   const FolderScene found = find_scene(options.folder, options.type, context);
   const std::string file = options.out.empty() ? "configs/" + found.name + ".yaml" : options.out;
@@ -104,22 +152,17 @@ int run(const InitOptions& options, AppContext& context) {
   for (NextStep& step : next_of_cameras(scene.cameras_are_off(), found.path, found.name))
     next.insert(next.begin(), std::move(step));
   if (!diagnostics.has_errors())
-    for (NextStep& step : next_of_config({file, fs::path(file).stem().string(), found.labels}))
+    for (NextStep& step : next_of_config(file, fs::path(file).stem().string(), found.labels))
       next.push_back(std::move(step));
   print_next(context, next);
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 
-void words(VerbWords& verb, InitOptions& options) {
-  verb.operand("folder", options.folder, "folder of the scene, or an index in it");
-  verb.value("--out FILE", options.out, "configuration to write (default: configs/<folder>.yaml)");
-  verb.value("--type DATASET", options.type, "dataset that is to read it, where several could");
-  verb.flag("--replace", options.replace, "write over a configuration that is there");
-}
-
-struct InspectOptions {
-  ConfigOptions config;
-  std::string frusta;
+struct InspectOptions : Options {
+  explicit InspectOptions(const Declaration& at) : Options(at) { threads(set); }
+  const std::string& config = operand("config", "configuration file (YAML), or the folder of a scene");
+  std::vector<std::string>& set = settings();
+  const std::string& frusta = value("--frusta FILE", "write the cameras as a PLY file");
 };
 
 // What an inspection shows of training frames are the labels that would train.
@@ -156,11 +199,11 @@ void check_ray_source(const LoadedScene& scene, const RunConfig& config, Diagnos
 }
 
 int run(const InspectOptions& options, AppContext& context) {
-  const std::string& what = options.config.config;
+  const std::string& what = options.config;
   const bool folder = names_a_scene(what, context);
   const FolderScene found = folder ? find_scene(what, "", context) : FolderScene();
-  OpenedDataset opened = folder ? dataset_of(config_of(found, kUsualPreset), options.config.set, context)
-                                : dataset_of(options.config, context);
+  OpenedDataset opened = folder ? dataset_of(config_of(found, kUsualPreset), options.set, context)
+                                : dataset_of(options.config, options.set, context);
   Diagnostics diagnostics;
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
@@ -186,28 +229,20 @@ int run(const InspectOptions& options, AppContext& context) {
   } else if (!diagnostics.has_errors()) {
     const bool labels = std::any_of(scene.class_pixels.begin(), scene.class_pixels.end(),
                                     [](const std::vector<std::int64_t>& pixels) { return !pixels.empty(); });
-    then(next_of_config({what, opened.config.name, labels, options.config.set, context.registry.module_files()}));
+    then(next_of_config(what, opened.config.name, labels, options.set, context.registry.module_files()));
   }
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
-}
-
-void words(VerbWords& verb, InspectOptions& options) {
-  verb.operand("config", options.config.config, "configuration file (YAML), or the folder of a scene");
-  verb.repeated("--set KEY=VALUE", options.config.set, "override a value: --set train.rays=2048");
-  verb.threads(options.config.set);
-  verb.value("--frusta FILE", options.frusta, "write the cameras as a PLY file");
 }
 
 }  // namespace
 
 Verb verb_init() {
-  return make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it", words,
-                                run);
+  return make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it", run);
 }
 
 Verb verb_inspect() {
   return make_verb<InspectOptions>("inspect", 70, "print what a scene contains, and every problem with its remedy",
-                                   words, run);
+                                   run);
 }
 
 }  // namespace semfield::app

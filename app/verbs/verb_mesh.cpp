@@ -37,24 +37,6 @@ namespace semfield::app {
 
 namespace {
 
-struct MeshOptions : SurfaceWishes {
-  std::string run;
-  std::string out;                   ///< default: mesh.ply in the run folder
-  std::vector<std::string> formats;  ///< of known_formats(); empty: what `out` ends with, or ply
-  bool points = false;               ///< also a point cloud from the training views
-  bool score = false;                ///< also figures against the depth images of the scene
-  std::vector<std::string> band;     ///< heights above the floor of a PGM, world units; empty: HeightBand's
-  std::string color;                 ///< photo, class or both; "": both where there are classes
-  std::string up;                    ///< axis of the world that is upright; "": taken from the cameras
-  std::vector<std::string> set;
-};
-
-/// One way of colouring, and what its files' names have behind the stem.
-struct Coloring {
-  bool classes;
-  std::string suffix;
-};
-
 enum class Holds : std::uint8_t { surface, page, points, splats, map };
 
 // Each is called by the ending of its files.
@@ -76,6 +58,59 @@ std::vector<std::string> known_formats() {
   for (const auto& [name, holds] : kForms) names.emplace_back(name);
   return names;
 }
+
+struct MeshOptions : Options {
+  explicit MeshOptions(const Declaration& at) : Options(at) { excludes("--voxel", "--resolution"); }
+  const std::string& run = operand("run", "run folder");
+  const std::optional<long long>& resolution = value_in<std::optional<long long>>(
+      "--resolution N", {}, 1, 4095, "cells along the longest side of the scene (default: 256)");
+  const std::optional<double>& voxel = positive("--voxel X", "edge of a cell in metres, instead of --resolution");
+  const std::string& source =
+      choice("--surface WHICH", "", {"depth", "density", "sensor"},
+             "depth: fused from the depth of the training views; density: where the field becomes opaque; sensor: "
+             "fused from the depth images of the training frames (default: depth where rays end in a background, "
+             "density for what is alone in empty space)");
+  const std::optional<double>& level =
+      positive("--level X", "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
+  const std::vector<std::string>& formats =
+      list("--format LIST", "forms of the files, with commas (default: what --out ends with, or ply)", known_formats());
+  const std::string& color =
+      choice("--color WHICH", "", {"photo", "class", "both"},
+             "colours as rendered, or of the class table, in files that end in _classes (default: both)");
+  const std::string& up =
+      choice("--up AXIS", "", {"x", "-x", "y", "-y", "z", "-z"},
+             "axis of the world that GLB, HTML and PGM files show upright (default: as the cameras stand)");
+  const std::optional<double>& close_holes =
+      positive("--close-holes X", "close holes whose border is at most this long, in metres");
+  const std::vector<std::string>& band = list(
+      "--band LOW,HIGH",
+      "heights above the floor whose obstacles a PGM shows (default: 0.1,1 in metres; 1/50 and 1/5 of the longest side "
+      "of a scene that is no room in metres)");
+  const std::optional<long long>& faces = value_in<std::optional<long long>>(
+      "--faces N", {}, 4, 4294967295.0,
+      "at most so many faces: edges are collapsed where form and classes change least");
+  const bool& points = flag("--points", "also write a labelled point cloud from the depth of the training views");
+  const bool& score = flag(
+      "--score",
+      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm (1/250, "
+      "1/100 and 1/50 of the longest side of a scene that is no room in metres), next to those of the fused depth "
+      "images themselves");
+  const std::string& out = value("--out FILE", "file to write, or a folder for mesh.ply (default: the run folder)");
+  const bool& keep_unseen = flag("--keep-unseen", "keep what no training camera sees (default: it is left out)");
+  const double& keep_components = value_in("--keep-components X", SurfaceWishes().keep_components, 0, 1,
+                                           "keep connected parts with at least this share of all faces; 0 keeps all");
+  const std::vector<std::string>& set = run_settings();
+
+  SurfaceWishes surface() const {
+    return {source, resolution, voxel, level, keep_unseen, keep_components, close_holes, faces};
+  }
+};
+
+/// One way of colouring, and what its files' names have behind the stem.
+struct Coloring {
+  bool classes;
+  std::string suffix;
+};
 
 void check_format(const std::string& name, const std::string& where) {
   const std::vector<std::string> known = known_formats();
@@ -450,11 +485,11 @@ MeshScores scores_of(const MeshOptions& options, const RunSurface& found, const 
 // Throws Error(data) where there is no surface, or nothing of it is seen.
 FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const AppContext& context) {
   const Session& s = run.session;
-  const bool of_sensor = surface_source(options, s) == "sensor";
+  const bool of_sensor = surface_source(options.surface(), s) == "sensor";
   MeasuredDepth measured;
   if (options.score || of_sensor) measured = measured_depth(run.session, options.run, of_sensor);
   ProgressLine progress(context, "depth of", "views");
-  FoundSurface found{make_run_surface(s, options.run, options, measured.training,
+  FoundSurface found{make_run_surface(s, options.run, options.surface(), measured.training,
                                       {[&](const std::string& note) { print_note(context, note); },
                                        [&](double done, double of) { progress.show(done, of); }}),
                      {}};
@@ -516,7 +551,7 @@ int run(const MeshOptions& options, AppContext& context) {
       run_of(options.run, options.set, measured ? OpenFor::evaluation_of_training_frames : OpenFor::rendering, context);
   const Session& s = run.session;
   mesh_colorings(options, s.pipeline->has_semantics());
-  surface_source(options, s);
+  surface_source(options.surface(), s);
   const bool upright = targets.writes("glb") || targets.writes("html") || targets.writes("pgm");
   const Upright found_up = wanted_upright(options, s);
   const Vec3d up = found_up.known.value_or(Vec3d{0, 1, 0});
@@ -571,51 +606,12 @@ int run(const MeshOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, MeshOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.value_in("--resolution N", options.resolution, 1, 4095,
-                "cells along the longest side of the scene (default: 256)");
-  verb.positive("--voxel X", options.voxel, "edge of a cell in metres, instead of --resolution");
-  verb.excludes("--voxel", "--resolution");
-  verb.choice(
-      "--surface WHICH", options.source, {"depth", "density", "sensor"},
-      "depth: fused from the depth of the training views; density: where the field becomes opaque; sensor: fused from "
-      "the depth images of the training frames (default: depth where rays end in a background, density for what is "
-      "alone in empty space)");
-  verb.positive("--level X", options.level,
-                "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
-  verb.list("--format LIST", options.formats, "forms of the files, with commas (default: what --out ends with, or ply)",
-            known_formats());
-  verb.choice("--color WHICH", options.color, {"photo", "class", "both"},
-              "colours as rendered, or of the class table, in files that end in _classes (default: both)");
-  verb.choice("--up AXIS", options.up, {"x", "-x", "y", "-y", "z", "-z"},
-              "axis of the world that GLB, HTML and PGM files show upright (default: as the cameras stand)");
-  verb.positive("--close-holes X", options.close_holes, "close holes whose border is at most this long, in metres");
-  verb.list(
-      "--band LOW,HIGH", options.band,
-      "heights above the floor whose obstacles a PGM shows (default: 0.1,1 in metres; 1/50 and 1/5 of the longest side "
-      "of a scene that is no room in metres)");
-  verb.value_in("--faces N", options.faces, 4, 4294967295.0,
-                "at most so many faces: edges are collapsed where form and classes change least");
-  verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
-  verb.flag(
-      "--score", options.score,
-      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm (1/250, "
-      "1/100 and 1/50 of the longest side of a scene that is no room in metres), next to those of the fused depth "
-      "images themselves");
-  verb.value("--out FILE", options.out, "file to write, or a folder for mesh.ply (default: the run folder)");
-  verb.flag("--keep-unseen", options.keep_unseen, "keep what no training camera sees (default: it is left out)");
-  verb.value_in("--keep-components X", options.keep_components, 0, 1,
-                "keep connected parts with at least this share of all faces; 0 keeps all");
-  verb.run_settings(options.set);
-}
-
 }  // namespace
 
 Verb verb_mesh() {
   return make_verb<MeshOptions>(
       "mesh", 60, "write what the cameras saw with colour, class and object: a surface, points, splats, maps, a page",
-      words, run);
+      run);
 }
 
 }  // namespace semfield::app

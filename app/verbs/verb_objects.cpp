@@ -24,15 +24,27 @@ namespace semfield::app {
 
 namespace {
 
-struct ObjectsOptions {
-  std::string run;
-  std::string segments;  ///< file or folder; "": the scene's own instances
-  std::string pattern;   ///< of the files of a folder
-  std::string out;       ///< default: objects/ in the run folder
-  std::string split = "test";
-  bool score = false;
-  bool pictures = false;
-  std::vector<std::string> set;
+struct ObjectsOptions : Options {
+  explicit ObjectsOptions(const Declaration& at) : Options(at) {
+    needs("--pattern", "--segments");
+    needs("--pictures", "--score");
+  }
+  const std::string& run = operand("run", "run folder");
+  const std::string& segments =
+      value("--segments PATH",
+            "segments of the training images: a folder of PNGs, JSON or NumPy masks, a COCO file, or clicks.jsonl "
+            "(default: the "
+            "scene's own "
+            "instances)");
+  const std::string& pattern =
+      value("--pattern NAME", "how files of that folder are named, with {name}, {stem} or {number} of the frame");
+  const std::string& split =
+      choice("--split SPLIT", "test", {"test", "train"}, "frames whose objects are written as images");
+  const bool& score = flag("--score", "also figures of those frames against the scene's own labels and instances");
+  const bool& pictures =
+      flag("--pictures", "also those frames as strips for the eye: photograph, segments, objects found, true objects");
+  const std::string& out = value("--out FOLDER", "folder to write (default: objects/ in the run folder)");
+  const std::vector<std::string>& set = run_settings();
 };
 
 PluginSlot usual_method(const Registry& registry) {
@@ -230,30 +242,11 @@ int run(const ObjectsOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ObjectsOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.value("--segments PATH", options.segments,
-             "segments of the training images: a folder of PNGs, JSON or NumPy masks, a COCO file, or clicks.jsonl "
-             "(default: the "
-             "scene's own "
-             "instances)");
-  verb.value("--pattern NAME", options.pattern,
-             "how files of that folder are named, with {name}, {stem} or {number} of the frame");
-  verb.needs("--pattern", "--segments");
-  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames whose objects are written as images");
-  verb.flag("--score", options.score, "also figures of those frames against the scene's own labels and instances");
-  verb.flag("--pictures", options.pictures,
-            "also those frames as strips for the eye: photograph, segments, objects found, true objects");
-  verb.needs("--pictures", "--score");
-  verb.value("--out FOLDER", options.out, "folder to write (default: objects/ in the run folder)");
-  verb.run_settings(options.set);
-}
-
 }  // namespace
 
 Verb verb_objects() {
   return make_verb<ObjectsOptions>("objects", 65, "separate and count the things of a scene, by segments of its images",
-                                   words, run);
+                                   run);
 }
 
 }  // namespace semfield::app

@@ -11,13 +11,24 @@ namespace semfield::app {
 
 namespace {
 
-struct WriteOptions {
-  ConfigOptions config;
-  std::string out;
+struct WriteOptions : Options {
+  explicit WriteOptions(const Declaration& at) : Options(at) { threads(set); }
+  const std::string& config = operand("config", "configuration file (YAML)");
+  std::vector<std::string>& set = settings();
 };
 
-int pack(const WriteOptions& options, AppContext& context) {
-  OpenedDataset opened = dataset_of(options.config, context);
+struct FileOptions : WriteOptions {
+  using WriteOptions::WriteOptions;
+  const std::string& out = required("--out FILE", "file to write (.sfpack)");
+};
+
+struct FolderOptions : WriteOptions {
+  using WriteOptions::WriteOptions;
+  const std::string& out = required("--out FOLDER", "folder to create");
+};
+
+int pack(const FileOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, options.set, context);
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
   print_findings(context, diagnostics);
@@ -26,8 +37,8 @@ int pack(const WriteOptions& options, AppContext& context) {
   return 0;
 }
 
-int capture(const WriteOptions& options, AppContext& context) {
-  OpenedDataset opened = dataset_of(options.config, context);
+int capture(const FolderOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, options.set, context);
   Diagnostics diagnostics;
   SceneInfo info = opened.dataset->open(diagnostics);
   convert_info(info, opened.config.load.convention);
@@ -47,9 +58,9 @@ int capture(const WriteOptions& options, AppContext& context) {
   return 0;
 }
 
-int degrade(const WriteOptions& options, AppContext& context) {
+int degrade(const FolderOptions& options, AppContext& context) {
   refuse_used_folder(options.out);
-  OpenedDataset opened = dataset_of(options.config, context);
+  OpenedDataset opened = dataset_of(options.config, options.set, context);
   Diagnostics diagnostics;
   const LoadedScene scene = load_for_labels(opened, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
@@ -68,32 +79,19 @@ int degrade(const WriteOptions& options, AppContext& context) {
   return 0;
 }
 
-void file_words(VerbWords& verb, WriteOptions& options) {
-  verb.config(options.config);
-  verb.threads(options.config.set);
-  verb.required("--out FILE", options.out, "file to write (.sfpack)");
-}
-
-void folder_words(VerbWords& verb, WriteOptions& options) {
-  verb.config(options.config);
-  verb.threads(options.config.set);
-  verb.required("--out FOLDER", options.out, "folder to create");
-}
-
 }  // namespace
 
 Verb verb_pack() {
-  return make_verb<WriteOptions>("pack", 90, "write a scene as one file, for machines without image libraries",
-                                 file_words, pack);
+  return make_verb<FileOptions>("pack", 90, "write a scene as one file, for machines without image libraries", pack);
 }
 
 Verb verb_capture() {
-  return make_verb<WriteOptions>("capture", 80, "write a scene's frames in Replica layout", folder_words, capture);
+  return make_verb<FolderOptions>("capture", 80, "write a scene's frames in Replica layout", capture);
 }
 
 Verb verb_degrade() {
-  return make_verb<WriteOptions>("degrade", 100, "write the training labels, degraded as the configuration says",
-                                 folder_words, degrade);
+  return make_verb<FolderOptions>("degrade", 100, "write the training labels, degraded as the configuration says",
+                                  degrade);
 }
 
 }  // namespace semfield::app

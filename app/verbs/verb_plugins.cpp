@@ -38,7 +38,7 @@ namespace {
 
 // What the process that asks the laws says to the one that started it: an object per line. "begun" and "ended" hold a
 // row, "told" the code with which it ends after an error that it printed; "done" says that every law was asked.
-void say(int pipe, const char* what, const nlohmann::json& value) {
+void send(int pipe, const char* what, const nlohmann::json& value) {
   const std::string line =
       nlohmann::json{{what, value}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
   for (std::size_t at = 0; at < line.size();) {
@@ -51,18 +51,18 @@ void say(int pipe, const char* what, const nlohmann::json& value) {
 // What `laws` throws goes on to main(), which prints it.
 void ask(int pipe, const std::function<void(LawRequest&)>& laws) {
   LawRequest request;
-  request.on_begin = [&](const LawRow& row) { say(pipe, "begun", row); };
-  request.on_row = [&](const LawRow& row) { say(pipe, "ended", row); };
+  request.on_begin = [&](const LawRow& row) { send(pipe, "begun", row); };
+  request.on_row = [&](const LawRow& row) { send(pipe, "ended", row); };
   try {
     laws(request);
   } catch (const Error& error) {
-    say(pipe, "told", static_cast<int>(error.kind()));
+    send(pipe, "told", static_cast<int>(error.kind()));
     throw;
   } catch (const std::exception&) {
-    say(pipe, "told", static_cast<int>(ErrorKind::internal));
+    send(pipe, "told", static_cast<int>(ErrorKind::internal));
     throw;
   }
-  say(pipe, "done", true);
+  send(pipe, "done", true);
 }
 
 std::string how_it_ended(int status) {
@@ -165,10 +165,15 @@ void add_cuda_kernels(AppContext& context) {
 
 // plugins check: the laws of its kind on every plugin of a file.
 
-struct CheckOptions {
-  std::string file;
-  std::string settings;            ///< file of lines as in conformance.txt; "": the defaults
-  std::vector<std::string> scene;  ///< NAME=VALUE of datasets
+struct CheckOptions : Options {
+  using Options::Options;
+  const std::string& file = operand("file", "loadable module");
+  const std::string& settings =
+      value("--settings FILE",
+            "parameters to check, a line each as in conformance.txt: name=value name=value, or defaults (default: the "
+            "defaults alone)");
+  const std::vector<std::string>& scene =
+      repeated("--scene NAME=VALUE", "parameter of the file's datasets, whose laws need a scene");
 };
 
 const char* word_of(LawStatus status) {
@@ -256,18 +261,11 @@ int run(const CheckOptions& options, AppContext& context) {
   return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
-void words(VerbWords& verb, CheckOptions& options) {
-  verb.operand("file", options.file, "loadable module");
-  verb.value("--settings FILE", options.settings,
-             "parameters to check, a line each as in conformance.txt: name=value name=value, or defaults (default: the "
-             "defaults alone)");
-  verb.repeated("--scene NAME=VALUE", options.scene, "parameter of the file's datasets, whose laws need a scene");
-}
-
 // plugins list: every plugin with one sentence, or with the devices that it runs on.
 
-struct ListOptions {
-  bool devices = false;
+struct ListOptions : Options {
+  using Options::Options;
+  const bool& devices = flag("--devices", "print which plugin runs on which device");
 };
 
 void print_devices(AppContext& context) {
@@ -296,14 +294,11 @@ int run(const ListOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ListOptions& options) {
-  verb.flag("--devices", options.devices, "print which plugin runs on which device");
-}
-
 // plugins show: the parameters of one plugin.
 
-struct ShowOptions {
-  std::string name;
+struct ShowOptions : Options {
+  using Options::Options;
+  const std::string& name = operand("name", "name of the plugin");
 };
 
 int run(const ShowOptions& options, AppContext& context) {
@@ -318,23 +313,21 @@ int run(const ShowOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ShowOptions& options) { verb.operand("name", options.name, "name of the plugin"); }
-
 }  // namespace
 
 Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their parameters, and check them"); }
 
 Verb verb_plugins_check() {
   return make_verb<CheckOptions>("plugins check", 50, "check the plugins of a file against the laws of their kinds",
-                                 words, run);
+                                 run);
 }
 
 Verb verb_plugins_list() {
-  return make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", words, run);
+  return make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", run);
 }
 
 Verb verb_plugins_show() {
-  return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", words, run);
+  return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", run);
 }
 
 }  // namespace semfield::app

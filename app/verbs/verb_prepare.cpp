@@ -22,11 +22,24 @@ namespace semfield::app {
 
 namespace {
 
-struct PrepareVerbOptions {
-  std::string source, out;
-  long long frames = 0;
-  std::string lens = "auto";
-  int threads = 0, attempts = 0;
+struct PrepareVerbOptions : Options {
+  using Options::Options;
+  const std::string& source =
+      operand("source",
+              "video, or folder of photographs; folders in it are one camera each. Or a scene that has poses, or its "
+              "configuration: its lens, poses and depth camera are fixed");
+  const std::string& out = required("--out FOLDER", "scene to write; what was interrupted continues there");
+  const long long& frames =
+      value_in("--frames N", 0LL, 0, 10000, "frames to keep of a video at most; 0: three a second, 30 to 300");
+  const std::string& lens =
+      choice("--lens KIND", "auto", {"auto", "fisheye", "equirectangular"},
+             "of the camera; auto: perspective, and a fisheye where that does not fit. equirectangular: panoramas, "
+             "which are cut into eight views each");
+  const int& attempts =
+      value_in("--attempts N", 0, 0, kMostAttempts,
+               "attempts to give every photograph a pose, at most; each takes longer than the one before. 0: 4, or as "
+               "many as a finished scene was given; more than that continue it");
+  const int& threads = value_in("--threads N", 0, 0, 4096, "threads of COLMAP; 0: every core");
 };
 
 struct Stopped {};
@@ -72,10 +85,22 @@ bool stoppable(AppContext& context, const Work& work) {
   }
 }
 
-// What `inspect` would say of the scene that was written.
-std::string inspected(const FolderScene& scene, AppContext& context, Diagnostics& diagnostics) {
+// The scene that was written, as the verb's results, with what `inspect` would say of it. `print` says it for people.
+int written(const PrepareVerbOptions& options, Diagnostics& found, Json results, const std::function<void()>& print,
+            AppContext& context) {
+  const FolderScene scene = find_scene(options.out, "", context);
   OpenedDataset opened = dataset_of(config_of(scene, kUsualPreset), {}, context);
-  return load_for_labels(opened, diagnostics).geometry;
+  const std::string geometry = load_for_labels(opened, found).geometry;
+  print_findings(context, found);
+  results["folder"] = options.out;
+  if (context.json) {
+    print_json(context, results);
+  } else {
+    print();
+    if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
+  }
+  if (!found.has_errors()) print_next(context, next_of_scene(scene.path, scene.name));
+  return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 
 // What a scene that has poses is fixed to.
@@ -119,8 +144,8 @@ void refuse_other_options(const PrepareVerbOptions& options) {
 
 int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene>& folder, AppContext& context) {
   refuse_other_options(options);
-  OpenedDataset opened = folder ? dataset_of(config_of(*folder, kUsualPreset), {}, context)
-                                : dataset_of(ConfigOptions{options.source, {}}, context);
+  OpenedDataset opened =
+      folder ? dataset_of(config_of(*folder, kUsualPreset), {}, context) : dataset_of(options.source, {}, context);
   const PoseConvention convention = opened.config.load.convention;
   Diagnostics found;
   PosedScene scene;
@@ -145,28 +170,20 @@ int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene
     found.note(
         "scene.channel.left", options.out,
         "maps of '" + name + "' are not in it: copy their files, and name them in each frame as " + name + "_path");
-  const FolderScene written = find_scene(options.out, "", context);
-  const std::string geometry = inspected(written, context, found);
-  print_findings(context, found);
-  if (context.json) {
-    print_json(context, {{"frames", scene.info.frames.size()},
-                         {"points", fixed->points},
-                         {"kept", fixed->kept},
-                         {"given_px", fixed->given_px},
-                         {"fixed_px", fixed->fixed_px},
-                         {"given_on_depth", fixed->given_on_depth},
-                         {"fixed_on_depth", fixed->fixed_on_depth},
-                         {"changes", fixed->changes},
-                         {"folder", options.out}});
-  } else {
-    print_fixed(*fixed, scene.info);
-    if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
-  }
-  if (!found.has_errors()) print_next(context, next_of_scene(written.path, written.name));
-  return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
+  return written(
+      options, found,
+      {{"frames", scene.info.frames.size()},
+       {"points", fixed->points},
+       {"kept", fixed->kept},
+       {"given_px", fixed->given_px},
+       {"fixed_px", fixed->fixed_px},
+       {"given_on_depth", fixed->given_on_depth},
+       {"fixed_on_depth", fixed->fixed_on_depth},
+       {"changes", fixed->changes}},
+      [&] { print_fixed(*fixed, scene.info); }, context);
 }
 
-void print_report(const PrepareReport& report, const std::string& geometry) {
+void print_report(const PrepareReport& report) {
   if (!report.cut.empty()) std::printf("video       %s\n", report.cut.c_str());
   std::printf("photographs %zu of %d x %d pixels\n", report.photographs, report.width_px, report.height_px);
   std::printf("registered  %zu of %zu (%.0f %%), reprojection error %.2f pixels, %zu points, %d %s\n",
@@ -174,7 +191,6 @@ void print_report(const PrepareReport& report, const std::string& geometry) {
               100.0 * static_cast<double>(report.registered) / static_cast<double>(report.photographs), report.error_px,
               report.points, report.attempts, report.attempts == 1 ? "attempt" : "attempts");
   for (const Missing& one : report.missing) std::printf("missing     %s\n", one.text.c_str());
-  if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
 }
 
 int run(const PrepareVerbOptions& options, AppContext& context) {
@@ -189,49 +205,26 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
                                programs, progress);
       });
   if (!whole) return 128 + stop_signal();
-  Diagnostics found;
-  const FolderScene scene = find_scene(options.out, "", context);
-  const std::string geometry = inspected(scene, context, found);
   print_findings(context, report.findings);
-  print_findings(context, found);
-  if (context.json) {
-    std::vector<std::string> missing;
-    for (const Missing& one : report.missing) missing.push_back(one.text);
-    print_json(context, {{"photographs", report.photographs},
-                         {"registered", report.registered},
-                         {"error_px", report.error_px},
-                         {"points", report.points},
-                         {"attempts", report.attempts},
-                         {"missing", missing},
-                         {"folder", options.out}});
-  } else {
-    print_report(report, geometry);
-  }
-  if (!found.has_errors()) print_next(context, next_of_scene(scene.path, scene.name));
-  return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
-}
-
-void words(VerbWords& verb, PrepareVerbOptions& options) {
-  verb.operand("source", options.source,
-               "video, or folder of photographs; folders in it are one camera each. Or a scene that has poses, or its "
-               "configuration: its lens, poses and depth camera are fixed");
-  verb.required("--out FOLDER", options.out, "scene to write; what was interrupted continues there");
-  verb.value_in("--frames N", options.frames, 0, 10000,
-                "frames to keep of a video at most; 0: three a second, 30 to 300");
-  verb.choice("--lens KIND", options.lens, {"auto", "fisheye", "equirectangular"},
-              "of the camera; auto: perspective, and a fisheye where that does not fit. equirectangular: panoramas, "
-              "which are cut into eight views each");
-  verb.value_in("--attempts N", options.attempts, 0, kMostAttempts,
-                "attempts to give every photograph a pose, at most; each takes longer than the one before. 0: 4, or as "
-                "many as a finished scene was given; more than that continue it");
-  verb.value_in("--threads N", options.threads, 0, 4096, "threads of COLMAP; 0: every core");
+  std::vector<std::string> missing;
+  for (const Missing& one : report.missing) missing.push_back(one.text);
+  Diagnostics found;
+  return written(
+      options, found,
+      {{"photographs", report.photographs},
+       {"registered", report.registered},
+       {"error_px", report.error_px},
+       {"points", report.points},
+       {"attempts", report.attempts},
+       {"missing", missing}},
+      [&] { print_report(report); }, context);
 }
 
 }  // namespace
 
 Verb verb_prepare() {
-  return make_verb<PrepareVerbOptions>(
-      "prepare", 7, "make a scene from a video or photographs, or fix the cameras of a scene", words, run);
+  return make_verb<PrepareVerbOptions>("prepare", 7,
+                                       "make a scene from a video or photographs, or fix the cameras of a scene", run);
 }
 
 }  // namespace semfield::app

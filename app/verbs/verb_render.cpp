@@ -49,25 +49,42 @@ namespace semfield::app {
 
 namespace {
 
-struct ChannelWishes {
-  std::string channel;  ///< of --channel; "": none
-  std::string query;    ///< file of --query; "": none
-};
+const std::vector<std::string> kPanels{"rgb", "label", "depth", "entropy"};
 
-struct RenderOptions {
-  std::string run;
-  std::string split = "test";
-  std::string trajectory;  ///< file of cameras or of camera-to-world matrices, or "smooth"; replaces the split
-  int frames = 240;        ///< of the smooth path
-  std::string out;         ///< default: render/<split> of the run, or render/<split>.mp4
-  bool npy = false;
-  bool probability = false;
-  ChannelWishes channels;
-  bool video = false;
-  std::vector<std::string> panels;  ///< of the video; none: all that the run has
-  double fps = 24;
-  int width = 0;  ///< pixels; 0: that of each camera
-  std::vector<std::string> set;
+struct RenderOptions : Options {
+  explicit RenderOptions(const Declaration& at) : Options(at) {
+    needs("--panels", "--video");
+    excludes("--npy", "--video");
+    excludes("--probability", "--video");
+    excludes("--channel", "--video");
+    excludes("--query", "--video");
+  }
+  const std::string& run = operand("run", "run folder");
+  const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames whose views are rendered");
+  const std::string& trajectory =
+      value("--trajectory FILE",
+            "instead of a split: a cameras.json of an earlier render, a file with one camera-to-world matrix per line "
+            "(12 or 16 numbers), or 'smooth' for a path through the training cameras",
+            "", {"smooth"});
+  const int& frames = value_in("--frames N", 240, 1, 100000, "number of frames of the smooth path");
+  const int& width =
+      value_in("--width PX", 0, 1, 16384,
+               "width of the pictures or the video's panels, pixels; heights follow (default: that of the cameras)");
+  const std::string& out =
+      value("--out PATH", "folder for the images, or the video's file (default: render/ in the run folder)");
+  const bool& video = flag("--video", "write a video through ffmpeg instead of images");
+  const std::vector<std::string>& panels =
+      list("--panels LIST", "panels side by side, with commas (default: all that the run has)", kPanels);
+  const double& fps = value_in("--fps X", 24.0, 0.01, 1000, "frames per second of the video");
+  const bool& npy = flag("--npy", "also write depth and entropy as float32 .npy");
+  const bool& probability =
+      flag("--probability", "also write the probability of every class as float32 .npy [height, width, classes]");
+  const std::string& channel =
+      value("--channel NAME", "also write this channel of a head as float32 .npy [height, width, columns]");
+  const std::string& query = value("--query FILE",
+                                   "also write how well a head's channel agrees with each vector of this file, as "
+                                   "cosines and pictures: .json, a map from words to vectors, or .npy");
+  const std::vector<std::string>& set = run_settings();
 };
 
 struct NamedView {
@@ -171,7 +188,7 @@ std::vector<std::uint8_t> contrast_colors(const std::vector<float>& values) {
   return rgb;
 }
 
-const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
+const HeadConfig& head_of(const RenderOptions& wishes, const Session& session) {
   const std::vector<HeadConfig>& heads = session.config.heads;
   std::vector<std::string> known;
   for (const HeadConfig& head : heads) {
@@ -192,7 +209,7 @@ const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
 class ChannelOutput {
  public:
   /// Throws Error(usage) for a run without such a head, and what read_queries throws.
-  ChannelOutput(const ChannelWishes& wishes, const Session& session) {
+  ChannelOutput(const RenderOptions& wishes, const Session& session) {
     if (wishes.channel.empty() && wishes.query.empty()) return;
     const HeadConfig& head = head_of(wishes, session);
     channels_.push_back(head.channel);
@@ -245,11 +262,6 @@ std::vector<std::uint8_t> overlay(const RenderedFrame& frame, const ClassTable& 
 
 // One rendered view as panels side by side: what a frame of a video shows.
 
-const std::vector<std::string>& panel_names() {
-  static const std::vector<std::string> names{"rgb", "label", "depth", "entropy"};
-  return names;
-}
-
 std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, const std::string& panel, const Session& s) {
   if (panel == "rgb") return to_bytes(frame.rgb);
   if (panel == "label") return overlay(frame, s.scene.info.classes);
@@ -257,10 +269,10 @@ std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, const std::string
   return entropy_colors(frame.entropy, static_cast<int>(s.plan.class_of_logit.size()));
 }
 
-// Of names that are in panel_names(); of none: all that the run has. Throws Error(usage) for label or entropy of a run
+// Of names that are in kPanels; of none: all that the run has. Throws Error(usage) for label or entropy of a run
 // without semantics.
 std::vector<std::string> panels_of(const std::vector<std::string>& names, bool semantics) {
-  if (names.empty()) return semantics ? panel_names() : std::vector<std::string>{"rgb", "depth"};
+  if (names.empty()) return semantics ? kPanels : std::vector<std::string>{"rgb", "depth"};
   for (const std::string& name : names) {
     if (semantics || (name != "label" && name != "entropy")) continue;
     throw Error(ErrorKind::usage, "run.semantics.none",
@@ -456,7 +468,7 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   const fs::path folder =
       options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
   if (options.probability) check_probability(options, s, views, context);
-  const ChannelOutput channels(options.channels, s);
+  const ChannelOutput channels(options, s);
   create_output_folder(folder);
   channels.write_axes(folder.string());
   CameraSet cameras = cameras_of(views);
@@ -540,44 +552,11 @@ int run(const RenderOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, RenderOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames whose views are rendered");
-  verb.value("--trajectory FILE", options.trajectory,
-             "instead of a split: a cameras.json of an earlier render, a file with one camera-to-world matrix per line "
-             "(12 or 16 numbers), or 'smooth' for a path through the training cameras",
-             {"smooth"});
-  verb.value_in("--frames N", options.frames, 1, 100000, "number of frames of the smooth path");
-  verb.value_in("--width PX", options.width, 1, 16384,
-                "width of the pictures or the video's panels, pixels; heights follow (default: that of the cameras)");
-  verb.value("--out PATH", options.out,
-             "folder for the images, or the video's file (default: render/ in the run folder)");
-  verb.flag("--video", options.video, "write a video through ffmpeg instead of images");
-  verb.list("--panels LIST", options.panels, "panels side by side, with commas (default: all that the run has)",
-            panel_names());
-  verb.needs("--panels", "--video");
-  verb.value_in("--fps X", options.fps, 0.01, 1000, "frames per second of the video");
-  verb.flag("--npy", options.npy, "also write depth and entropy as float32 .npy");
-  verb.excludes("--npy", "--video");
-  verb.flag("--probability", options.probability,
-            "also write the probability of every class as float32 .npy [height, width, classes]");
-  verb.excludes("--probability", "--video");
-  verb.value("--channel NAME", options.channels.channel,
-             "also write this channel of a head as float32 .npy [height, width, columns]");
-  verb.excludes("--channel", "--video");
-  verb.value(
-      "--query FILE", options.channels.query,
-      "also write how well a head's channel agrees with each vector of this file, as cosines and pictures: .json, "
-      "a map from words to vectors, or .npy");
-  verb.excludes("--query", "--video");
-  verb.run_settings(options.set);
-}
-
 }  // namespace
 
 Verb verb_render() {
   return make_verb<RenderOptions>("render", 30, "render colour, label, depth and entropy images from a run's field",
-                                  words, run, Launch::ranks);
+                                  run, Launch::ranks);
 }
 
 }  // namespace semfield::app

@@ -14,10 +14,11 @@ namespace semfield::app {
 
 namespace {
 
-struct ReportOptions {
-  std::vector<std::string> runs;
-  std::string out;
-  bool flat = false;
+struct ReportOptions : Options {
+  using Options::Options;
+  const std::vector<std::string>& runs = operands("run", "run folders");
+  const bool& flat = flag("--no-3d", "leave out the view of the first run in 3D");
+  const std::string& out = value("--out FILE", "file to write (default: report.html of the first run)");
 };
 
 // A report needs no scene, a view of it does: where the run does not open, the note says why.
@@ -40,16 +41,10 @@ int run(const ReportOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, ReportOptions& options) {
-  verb.operand("run", options.runs, "run folders");
-  verb.flag("--no-3d", options.flat, "leave out the view of the first run in 3D");
-  verb.value("--out FILE", options.out, "file to write (default: report.html of the first run)");
-}
-
 }  // namespace
 
 Verb verb_report() {
-  return make_verb<ReportOptions>("report", 40, "write one HTML page about one or several runs", words, run);
+  return make_verb<ReportOptions>("report", 40, "write one HTML page about one or several runs", run);
 }
 
 }  // namespace semfield::app

@@ -13,8 +13,10 @@ Verb verb_runs() { return make_group("runs", 160, "compare finished runs"); }
 
 namespace {
 
-struct EqualOptions {
-  std::string a, b;
+struct EqualOptions : Options {
+  using Options::Options;
+  const std::string& a = operand("run_a", "run folder");
+  const std::string& b = operand("run_b", "run folder");
 };
 
 int run(const EqualOptions& options, AppContext& context) {
@@ -39,17 +41,12 @@ int run(const EqualOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, EqualOptions& options) {
-  verb.operand("run_a", options.a, "run folder");
-  verb.operand("run_b", options.b, "run folder");
-}
-
 }  // namespace
 
 Verb verb_runs_equal() {
   return make_verb<EqualOptions>(
       "runs equal", 10,
-      "check whether two runs are the same training, bit by bit; times, threads and places do not count", words, run);
+      "check whether two runs are the same training, bit by bit; times, threads and places do not count", run);
 }
 
 }  // namespace semfield::app

@@ -28,11 +28,16 @@ namespace semfield::app {
 
 namespace {
 
-struct ServeOptions {
-  std::string what;  ///< configuration file or run folder
-  std::string out, address = "127.0.0.1";
-  std::optional<int> port;
-  std::vector<std::string> set;
+struct ServeOptions : Options {
+  explicit ServeOptions(const Declaration& at) : Options(at) { device(set); }
+  const std::string& what = operand("config_or_run", "configuration file, or a run folder to continue");
+  const std::optional<int>& port = value_in<std::optional<int>>(
+      "--port N", {}, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
+  const std::string& address =
+      value("--address ADDRESS", "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network",
+            "127.0.0.1");
+  const std::string& out = value("--out FOLDER", "run folder to create (default: runs/<name>)");
+  std::vector<std::string>& set = run_settings();
 };
 
 #ifdef SEMFIELD_WITH_SERVE
@@ -175,20 +180,10 @@ int run(const ServeOptions&, AppContext&) {
 
 #endif
 
-void words(VerbWords& verb, ServeOptions& options) {
-  verb.operand("config_or_run", options.what, "configuration file, or a run folder to continue");
-  verb.value_in("--port N", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
-  verb.value("--address ADDRESS", options.address,
-             "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network");
-  verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
-  verb.run_settings(options.set);
-  verb.device(options.set);
-}
-
 }  // namespace
 
 Verb verb_serve() {
-  return make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains", words, run);
+  return make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains", run);
 }
 
 }  // namespace semfield::app

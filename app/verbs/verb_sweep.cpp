@@ -30,14 +30,21 @@ namespace semfield::app {
 
 namespace {
 
-struct SweepOptions {
-  std::string file;
-  std::string out;  ///< default: runs/<name>
-  std::optional<int> jobs, threads;
-  std::optional<double> memory_gb;
-  std::vector<std::string> devices;
-  bool keep_checkpoints = false;
-  bool dry_run = false;
+struct SweepOptions : Options {
+  explicit SweepOptions(const Declaration& at) : Options(at) { excludes("--devices", "--jobs"); }
+  const std::string& file = operand("file", "sweep file (YAML)");
+  const std::string& out =
+      value("--out FOLDER", "folder of cells and tables (default: runs/<name>); an existing one is resumed");
+  const std::optional<int>& jobs = value_in<std::optional<int>>(
+      "--jobs N", {}, 1, 4096, "cells at a time of this process (default: its share of the host's cores)");
+  const std::optional<int>& threads =
+      value_in<std::optional<int>>("--threads N", {}, 1, 4096, "threads of each cell (default: 1)");
+  const std::optional<double>& memory_gb = positive(
+      "--memory GB", "GB that the cells of this process together may use (default: its share of 80 % of what is free)");
+  const std::vector<std::string>& devices =
+      list("--devices LIST", "CUDA devices that cells run on, one cell at a time on each: all, or numbers (0,1)");
+  const bool& keep_checkpoints = flag("--keep-checkpoints", "keep the checkpoints of finished cells");
+  const bool& dry_run = flag("--dry-run", "list the cells, then stop");
 };
 
 std::string minutes_text(double seconds) {
@@ -286,26 +293,10 @@ int run(const SweepOptions& options, AppContext& context) {
   }
 }
 
-void words(VerbWords& verb, SweepOptions& options) {
-  verb.operand("file", options.file, "sweep file (YAML)");
-  verb.value("--out FOLDER", options.out,
-             "folder of cells and tables (default: runs/<name>); an existing one is resumed");
-  verb.value_in("--jobs N", options.jobs, 1, 4096,
-                "cells at a time of this process (default: its share of the host's cores)");
-  verb.value_in("--threads N", options.threads, 1, 4096, "threads of each cell (default: 1)");
-  verb.positive("--memory GB", options.memory_gb,
-                "GB that the cells of this process together may use (default: its share of 80 % of what is free)");
-  verb.list("--devices LIST", options.devices,
-            "CUDA devices that cells run on, one cell at a time on each: all, or numbers (0,1)");
-  verb.excludes("--devices", "--jobs");
-  verb.flag("--keep-checkpoints", options.keep_checkpoints, "keep the checkpoints of finished cells");
-  verb.flag("--dry-run", options.dry_run, "list the cells, then stop");
-}
-
 }  // namespace
 
 Verb verb_sweep() {
-  return make_verb<SweepOptions>("sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run,
+  return make_verb<SweepOptions>("sweep", 50, "run experiments: a grid of differences, scenes and seeds", run,
                                  Launch::beside);
 }
 

@@ -24,15 +24,23 @@ namespace semfield::app {
 
 namespace {
 
-struct TrainOptions {
-  ConfigOptions config;
-  std::string out;
-  std::string resume;
-  LengthWords length;
-  std::vector<std::string> keep;
-  bool weak = false;
-  bool dry_run = false;
-  bool flat = false;  // a report without the view in 3D
+struct TrainOptions : Options {
+  explicit TrainOptions(const Declaration& at) : Options(at) {
+    threads(set);
+    setting(set, "--memory GB", "runtime.memory_gb",
+            "GB that the run may use; it ends after its first steps if it holds more (default: no limit)");
+    device(set);
+  }
+  const std::string& config = operand("[config]", "configuration file (YAML)");
+  std::vector<std::string>& set = settings();
+  const std::string& out = value("--out FOLDER", "run folder to create (default: runs/<name>)");
+  const std::string& resume =
+      value("--resume RUN", "run folder to resume; with --time or --steps it trains that much more");
+  const LengthWords length = training_length();
+  const std::vector<std::string>& keep = repeated("--keep COMPONENT", "keep a component that would be left out");
+  const bool& weak = flag("--weak", "under mpirun or srun: train.rays in each process, not in all together");
+  const bool& flat = flag("--no-3d", "write a report without the view in 3D");
+  const bool& dry_run = flag("--dry-run", "print what would be built and left out, then stop");
 };
 
 std::string number(const std::vector<std::pair<std::string, std::optional<double>>>& values, const std::string& name,
@@ -149,7 +157,7 @@ class ShownRun final : public RunListener {
 
 int run(const TrainOptions& options, AppContext& context) {
   const bool resume = !options.resume.empty();
-  if (resume == !options.config.config.empty()) {
+  if (resume == !options.config.empty()) {
     throw Error(ErrorKind::usage, "usage.flag.conflict", "train: expected either a configuration file or --resume RUN",
                 "see `semfield train --help`");
   }
@@ -157,8 +165,8 @@ int run(const TrainOptions& options, AppContext& context) {
   if (options.weak && resume)
     throw Error(ErrorKind::usage, "usage.flag.conflict",
                 "train: --weak multiplies the rays of a new run, and a resumed one keeps its own", "leave out --weak");
-  RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config.config,
-                                     options.config.set, context.registry);
+  RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config,
+                                     options.set, context.registry);
   if (!resume && asked.any()) ask(config, asked);
   if (options.weak && context.ranks) config.train.rays *= context.ranks->size();
   if (options.dry_run) {
@@ -204,28 +212,10 @@ int run(const TrainOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, TrainOptions& options) {
-  verb.operand("[config]", options.config.config, "configuration file (YAML)");
-  std::vector<std::string>& set = options.config.set;
-  verb.repeated("--set KEY=VALUE", set, "override a value: --set train.rays=2048");
-  verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
-  verb.value("--resume RUN", options.resume, "run folder to resume; with --time or --steps it trains that much more");
-  verb.length(options.length);
-  verb.threads(set);
-  verb.setting(set, "--memory GB", "runtime.memory_gb",
-               "GB that the run may use; it ends after its first steps if it holds more (default: no limit)");
-  verb.device(set);
-  verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
-  verb.flag("--weak", options.weak, "under mpirun or srun: train.rays in each process, not in all together");
-  verb.flag("--no-3d", options.flat, "write a report without the view in 3D");
-  verb.flag("--dry-run", options.dry_run, "print what would be built and left out, then stop");
-}
-
 }  // namespace
 
 Verb verb_train() {
-  return make_verb<TrainOptions>("train", 10, "train a field on a scene; writes a run folder", words, run,
-                                 Launch::ranks);
+  return make_verb<TrainOptions>("train", 10, "train a field on a scene; writes a run folder", run, Launch::ranks);
 }
 
 }  // namespace semfield::app

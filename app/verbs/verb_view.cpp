@@ -42,11 +42,16 @@ namespace semfield::app {
 
 namespace {
 
-struct ViewVerbOptions {
-  std::string run, with;
-  std::string address = "127.0.0.1";
-  std::optional<int> port;
-  std::vector<std::string> set;
+struct ViewVerbOptions : Options {
+  using Options::Options;
+  const std::string& run = operand("run", "run folder");
+  const std::string& with = value("--with RUN", "a second run of the same scene, side by side with the first");
+  const std::optional<int>& port = value_in<std::optional<int>>(
+      "--port N", {}, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
+  const std::string& address =
+      value("--address ADDRESS", "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network",
+            "127.0.0.1");
+  const std::vector<std::string>& set = run_settings();
 };
 
 #ifdef SEMFIELD_WITH_SERVE
@@ -502,20 +507,10 @@ int run(const ViewVerbOptions&, AppContext&) {
 
 #endif
 
-void words(VerbWords& verb, ViewVerbOptions& options) {
-  verb.operand("run", options.run, "run folder");
-  verb.value("--with RUN", options.with, "a second run of the same scene, side by side with the first");
-  verb.value_in("--port N", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
-  verb.value("--address ADDRESS", options.address,
-             "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network");
-  verb.run_settings(options.set);
-}
-
 }  // namespace
 
 Verb verb_view() {
-  return make_verb<ViewVerbOptions>("view", 20, "look at a run in the browser, while it trains or afterwards", words,
-                                    run);
+  return make_verb<ViewVerbOptions>("view", 20, "look at a run in the browser, while it trains or afterwards", run);
 }
 
 }  // namespace semfield::app

@@ -15,7 +15,6 @@
 #include "plugin/loader.h"
 #include "scene/camera_rig.h"
 #include "session/assembly.h"
-#include "session/settings/run_identity.h"
 #include "system/checksum.h"
 
 namespace semfield {
