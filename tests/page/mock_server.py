@@ -89,6 +89,13 @@ def ray(camera, width, height, x, y):
     return list(camera["position"]), [(rotation[3 * k] * u + rotation[3 * k + 1] * v + rotation[3 * k + 2]) / length for k in range(3)]
 
 
+def place_at(camera, width, height, x, y):
+    """World position of what is seen at a point of the image."""
+    origin, direction = ray(camera, width, height, x, y)
+    t = cast(origin, direction)[0]
+    return [o + t * d for o, d in zip(origin, direction)]
+
+
 def pixel_of(camera, width, height, place):
     """Where the camera has a place in its image, or None."""
     rotation, focal = camera["rotation"], width / 2 / math.tan(math.radians(camera["fov_deg"]) / 2)
@@ -121,16 +128,11 @@ def photo(k, count, width, height, scale, is_turned=False):
 
 def render(camera, width, height):
     """(rgb rows, objects [height][width]) of a camera {"position", "rotation", "fov_deg"}."""
-    rotation, origin = camera["rotation"], camera["position"]
-    focal = width / 2 / math.tan(math.radians(camera["fov_deg"]) / 2)
     rows, objects = [], []
     for j in range(height):
-        v = (j + 0.5 - height / 2) / focal
         row, line = bytearray(), bytearray()
         for i in range(width):
-            u = (i + 0.5 - width / 2) / focal
-            length = math.sqrt(u * u + v * v + 1)
-            d = [(rotation[3 * k] * u + rotation[3 * k + 1] * v + rotation[3 * k + 2]) / length for k in range(3)]
+            origin, d = ray(camera, width, height, i + 0.5, j + 0.5)
             t, (which, color, shade) = cast(origin, d)
             if which == 0 and (math.floor(2 * (origin[0] + t * d[0])) + math.floor(2 * (origin[1] + t * d[1]))) % 2:
                 shade *= 0.9
@@ -251,9 +253,7 @@ class Room:
 
     def place(self, view, at):
         """World position of a pixel."""
-        origin, direction = ray(self.cameras[view], *self.size, *at)
-        t = cast(origin, direction)[0]
-        return [o + t * d for o, d in zip(origin, direction)]
+        return place_at(self.cameras[view], *self.size, *at)
 
     def seen(self, marks, camera, size, own):
         """Marks of other views that a camera sees."""
@@ -270,9 +270,7 @@ class Room:
     def spot(self, camera, at):
         """The response to a question about a point of a free camera's picture."""
         width, height = self.size
-        origin, direction = ray(camera, width, height, at[0] * width, at[1] * height)
-        t = cast(origin, direction)[0]
-        place = [o + t * d for o, d in zip(origin, direction)]
+        place = place_at(camera, width, height, at[0] * width, at[1] * height)
         trained = range(len(self.frames) - self.held_out)
         found = [(k, pixel_of(self.cameras[k], width, height, place)) for k in trained]
         found = [(k, p) for k, p in found if p and is_seen(self.cameras[k], place) and "hidden" not in self.faults]

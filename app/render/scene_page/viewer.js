@@ -141,6 +141,7 @@ class Page {
       up: (is_click, x, y, event) => { if (is_click) this.point(event.clientX, event.clientY, event.shiftKey); },
       pan: (dx, dy) => { this.camera.move(dx, dy); this.change(); },
       zoom: (factor) => { this.camera.closer(1 / factor); this.change(); },
+      wheel_px: 500,
       scrolls: () => kInside && document.activeElement !== canvas,  // the page around it does
     });
     canvas.addEventListener("webglcontextlost", () => say_trouble("The graphics device was lost. Load the page again."));
