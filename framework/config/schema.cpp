@@ -100,11 +100,13 @@ void add_params(Json& properties, const std::vector<ParamDoc>& docs) {
   for (const ParamDoc& doc : docs) properties[doc.name] = param_schema(doc);
 }
 
-// What "*" stands for is allowed under any name.
+// What "*" stands for is allowed under any name, and stands there once at least.
 Json closed_map(Json properties) {
   Json others = properties.value("*", Json(false));
-  properties.erase("*");
-  return {{"type", "object"}, {"properties", std::move(properties)}, {"additionalProperties", std::move(others)}};
+  const bool any_name = properties.erase("*") > 0;
+  Json map{{"type", "object"}, {"properties", std::move(properties)}, {"additionalProperties", std::move(others)}};
+  if (any_name) map["minProperties"] = 1;
+  return map;
 }
 
 Json choice_schema(const SchemaNode& node, const Json& shared) {
