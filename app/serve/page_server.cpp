@@ -211,6 +211,11 @@ HttpResponse PageExports::download(const std::string& place) const {
           error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
 }
 
+std::int64_t now_ms() {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
 namespace {
 
 using Clock = std::chrono::steady_clock;
@@ -219,20 +224,6 @@ constexpr auto kStateLook = std::chrono::milliseconds(100);  // at exports, and 
 constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
 constexpr const char* kJpeg = "image/jpeg";
 constexpr const char* kForEver = "private, max-age=31536000, immutable";
-
-std::int64_t now_ms() {
-  return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
-      .count();
-}
-
-class Counted : NonCopyable {
- public:
-  explicit Counted(std::atomic<int>& count) : count_(count) { ++count_; }
-  ~Counted() { --count_; }
-
- private:
-  std::atomic<int>& count_;
-};
 
 Json run_json(const LabelState& s, const std::string& id) {
   return {{"id", id},
@@ -356,7 +347,9 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
   const std::uint64_t first = options_.first_revision;
   const bool ours = after >= first && after - first <= source_.state()->revision + exports_.changes();
   after = ours ? after - first : 0;  // else: of an earlier life of the server
-  const Counted waits(waiting_for_news_);
+  ++waiting_for_news_;
+  const std::unique_ptr<std::atomic<int>, void (*)(std::atomic<int>*)> waits(
+      &waiting_for_news_, [](std::atomic<int>* waiting) { --*waiting; });
   for (;;) {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;

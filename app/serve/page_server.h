@@ -149,6 +149,9 @@ class PageHost : NonCopyable {
 
 // The labelling page.
 
+/// Milliseconds since 1970.
+std::int64_t now_ms();
+
 struct PageOptions {
   HttpOptions http;
   bool next_port = false;  ///< when http.port is taken, one of the 99 behind it

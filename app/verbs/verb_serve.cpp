@@ -90,9 +90,7 @@ PageOptions page_options(const ServeOptions& options, const AppContext& context,
   page.http.port = options.port.value_or(kUsualPort);
   page.next_port = !options.port;
   page.files = read_page_files(shared_file("app/serve/page"));
-  page.first_revision = static_cast<std::uint64_t>(
-      std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
-          .count());
+  page.first_revision = static_cast<std::uint64_t>(now_ms());
   page.exports = {own_program(), run_dir, context.registry.module_files()};
   return page;
 }
