@@ -372,8 +372,9 @@ CameraSet film_cameras(const Json& lines, std::int32_t width, std::int32_t heigh
 class ViewServer final : public PageHost {
  public:
   // `films`: exports of the first run. Serves when it returns. Throws as free_port does.
-  ViewServer(std::vector<ViewedRun*> runs, HttpOptions http, bool next_port, ExportOptions films, std::string text)
-      : PageHost(nullptr, std::move(films), "film/", "docs/guide/viewing.md"), runs_(std::move(runs)) {
+  ViewServer(const std::vector<std::unique_ptr<ViewedRun>>& runs, HttpOptions http, bool next_port, ExportOptions films,
+             std::string text)
+      : PageHost(nullptr, std::move(films), "film/", "docs/guide/viewing.md"), runs_(runs) {
     http.most_body_bytes = std::size_t{8} << 20;  // a path of the camera
     HttpResponse page{200, "text/html; charset=utf-8", std::move(text)};
     page.own_code = true;
@@ -413,7 +414,7 @@ class ViewServer final : public PageHost {
 
   HttpResponse get_state() const {
     Json runs = Json::array(), films = Json::array();
-    for (const ViewedRun* one : runs_)
+    for (const auto& one : runs_)
       runs.push_back({{"name", one->name()}, {"step", one->step()}, {"newest", one->newest_step()}});
     for (const ExportState& film : exports_.list())
       films.push_back({{"id", film.id}, {"state", film.state}, {"text", film.text}, {"files", film.files}});
@@ -459,7 +460,7 @@ class ViewServer final : public PageHost {
     return json_answer({{"id", exports_.start(ExportKind::film, write)}});
   }
 
-  std::vector<ViewedRun*> runs_;
+  const std::vector<std::unique_ptr<ViewedRun>>& runs_;
 };
 
 int run(const ViewVerbOptions& options, AppContext& context) {
@@ -472,18 +473,14 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   for (const std::string& one : {options.run, options.with})
     if (!one.empty())
       runs.push_back(std::make_unique<ViewedRun>(run_of(one, options.set, OpenFor::rendering, context)));
-  std::vector<ViewedRun*> shown;
   std::vector<std::string> names;
-  for (const std::unique_ptr<ViewedRun>& one : runs) {
-    shown.push_back(one.get());
-    names.push_back(one->name());
-  }
-  const ViewServer server(shown, http, !options.port,
+  for (const auto& one : runs) names.push_back(one->name());
+  const ViewServer server(runs, http, !options.port,
                           {own_program(), runs.front()->folder(), context.registry.module_files()},
                           live_page_text(runs.front()->name(), names));
   // While the browser loads the page. What fails here fails for the page too, which says why.
-  const std::jthread meshes([&shown] {
-    for (ViewedRun* one : shown) {
+  const std::jthread meshes([&runs] {
+    for (const auto& one : runs) {
       try {
         (void)one->scene(false);
       } catch (const std::exception&) {
