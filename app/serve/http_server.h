@@ -90,8 +90,7 @@ struct HttpOptions {
   int responses = 64;                 ///< made at a time; other requests wait
   std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
-  int head_ms =
-      5000;  ///< for a request's head, for a connection without a request, and for a client that reads nothing
+  int head_ms = 5000;   ///< for a head, for a connection without a request, and for a client that reads nothing
   int body_ms = 10000;  ///< for a body
 };
 

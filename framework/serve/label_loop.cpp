@@ -170,9 +170,8 @@ namespace {
 constexpr int kLeastOfClass = 4;       // clicks of a class of which one may be held back
 constexpr std::size_t kLeastHeld = 8;  // clicks that say something of the temperature
 constexpr double kLowest = 0.25, kHighest = 5;
-constexpr double kPriorWidth = 0.5;  // standard deviation of log T
-constexpr double kWrongClicks =
-    0.1;  // fraction of clicks that say nothing: slips, and places that no other click resembles
+constexpr double kPriorWidth = 0.5;   // standard deviation of log T
+constexpr double kWrongClicks = 0.1;  // fraction that says nothing: slips, and places that no other click resembles
 
 // Of the clicks at a temperature: weighted log likelihoods, as many as there are in effect, less the prior.
 double misfit(std::span<const HeldBack> held, double temperature) {

@@ -209,8 +209,7 @@ struct LabelState {
   std::vector<ClassState> classes;  ///< the named ones
   std::vector<ViewState> views;
   std::optional<ProposalState> proposal;
-  std::vector<Annotations::Mark>
-      marks;  ///< Mark::frame is the number of a frame of the scene; see LabelSession::view_of
+  std::vector<Annotations::Mark> marks;  ///< Mark::frame: a frame of the scene; see LabelSession::view_of
   std::vector<HistoryRow> history;
   std::vector<std::string> notes;  ///< warnings of the scene and the run
   std::string trouble;             ///< not empty: files of the run could not be written; it goes on, and tries again
@@ -230,9 +229,8 @@ struct PictureRequest {
   int view = -1;                     ///< number in LabelState::views, or
   std::optional<FreeCamera> camera;  ///< a camera of its own
   std::int32_t most_px = 0;          ///< longest side of a free camera's picture; 0: that of the views
-  std::optional<PixelPoint>
-      at;              ///< of a camera: the point in question, as fractions of its width and height; no map is made
-  bool color = false;  ///< rendered colour
+  std::optional<PixelPoint> at;      ///< of a camera: a point, as fractions of width and height; no map is made
+  bool color = false;                ///< rendered colour
   bool labels = true;
   bool entropy = false;
   bool full = false;  ///< every pixel rendered: a free camera that stands still, or a view's final labels
@@ -258,8 +256,7 @@ struct LabelLoopOptions {
   std::int64_t pool_points = 30'000;
   SurfaceGraphRules graph;
   ProposalRules proposals;
-  double graph_cost =
-      0.7;  ///< e-fold of a class's probability by the way that it is farther than the nearest; 0: the network alone
+  double graph_cost = 0.7;      ///< e-fold of a class by how much farther it is than the nearest; 0: the network alone
   double spread_weight = 0.05;  ///< of a point that clicks spread to, where a click is 1
   double far_cost = 3;          ///< what is this far from a click says 1/e as much as the click
   double doubt_cost = 0.5;      ///< difference of the ways to two classes that leaves no doubt (tanh 1)
