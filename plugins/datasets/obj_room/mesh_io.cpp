@@ -45,10 +45,12 @@ std::string_view trimmed(std::string_view text) {
   return text.substr(begin, text.find_last_not_of(" \t\r") - begin + 1);
 }
 
-std::string place(const std::string& path, std::size_t line) { return path + ":" + std::to_string(line) + ": "; }
+[[noreturn]] void refuse_damaged(const std::string& place, const std::string& message) {
+  throw Error(ErrorKind::data, "scene.obj.damaged", place + ": " + message, "export the mesh again");
+}
 
-// The loader reads "abc" and "nan" as 0: numbers are checked before it sees them.
-void check_numbers(std::string_view rest, int least, const std::string& path, std::size_t line) {
+// The loader reads "abc" and "nan" as 0: numbers are checked before it sees them. What is wrong with them, or "".
+std::string wrong_numbers(std::string_view rest, int least) {
   int count = 0;
   while (!(rest = trimmed(rest)).empty()) {
     const std::string_view word = rest.substr(0, rest.find_first_of(" \t"));
@@ -57,22 +59,16 @@ void check_numbers(std::string_view rest, int least, const std::string& path, st
     const auto [end, code] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
     const bool too_small = code == std::errc::result_out_of_range && digits.find("e-") != std::string_view::npos;
     if (!too_small && (code != std::errc{} || end != digits.data() + digits.size() || !std::isfinite(value) ||
-                       std::abs(value) > 1e30)) {
-      throw Error(ErrorKind::data, "scene.obj.damaged",
-                  place(path, line) + "'" + std::string(word) + "' is not a finite number", "export the mesh again");
-    }
+                       std::abs(value) > 1e30))
+      return "'" + std::string(word) + "' is not a finite number";
     rest.remove_prefix(word.size());
     ++count;
   }
-  if (count < least) {
-    throw Error(ErrorKind::data, "scene.obj.damaged",
-                place(path, line) + "expected " + std::to_string(least) + " numbers, found " + std::to_string(count),
-                "export the mesh again");
-  }
+  return count < least ? "expected " + std::to_string(least) + " numbers, found " + std::to_string(count) : "";
 }
 
 // The loader reads "abc" as 0 and wraps what does not fit 32 bits.
-void check_indices(std::string_view rest, const std::string& path, std::size_t line) {
+std::string wrong_indices(std::string_view rest) {
   while (!(rest = trimmed(rest)).empty()) {
     const std::string_view word = rest.substr(0, rest.find_first_of(" \t"));
     std::string_view left = word;
@@ -87,12 +83,10 @@ void check_indices(std::string_view rest, const std::string& path, std::size_t l
       if (left.empty()) break;
       left.remove_prefix(1);
     }
-    if (!good) {
-      throw Error(ErrorKind::data, "scene.obj.damaged",
-                  place(path, line) + "'" + std::string(word) + "' is not an index", "export the mesh again");
-    }
+    if (!good) return "'" + std::string(word) + "' is not an index";
     rest.remove_prefix(word.size());
   }
+  return "";
 }
 
 Outline outline_of(const std::string& text, const std::string& path) {
@@ -106,13 +100,13 @@ Outline outline_of(const std::string& text, const std::string& path) {
     if (row == "g") outline.bare_groups.push_back(static_cast<std::size_t>(row.data() - text.data()) + 1);
     if (row.size() < 2) continue;
     const std::string_view word = row.substr(0, row.find_first_of(" \t"));
-    if (word == "v") check_numbers(row.substr(1), 3, path, line);
-    if (word == "vn") check_numbers(row.substr(2), 3, path, line);
-    if (word == "vt") check_numbers(row.substr(2), 1, path, line);
-    if (word == "f") {
-      check_indices(row.substr(1), path, line);
-      outline.face_lines.push_back(static_cast<std::uint32_t>(line));
-    }
+    std::string wrong;
+    if (word == "v") wrong = wrong_numbers(row.substr(1), 3);
+    if (word == "vn") wrong = wrong_numbers(row.substr(2), 3);
+    if (word == "vt") wrong = wrong_numbers(row.substr(2), 1);
+    if (word == "f") wrong = wrong_indices(row.substr(1));
+    if (!wrong.empty()) refuse_damaged(path + ":" + std::to_string(line), wrong);
+    if (word == "f") outline.face_lines.push_back(static_cast<std::uint32_t>(line));
     if (word == "o") outline.has_objects = true;
     if (word == "mtllib") outline.material_files.emplace_back(trimmed(row.substr(6)));
   }
@@ -219,8 +213,7 @@ struct Builder {
 
   [[noreturn]] void fail(const std::string& why) const {
     const std::string owner = object < 0 ? "" : "object '" + mesh.objects[static_cast<std::size_t>(object)] + "': ";
-    throw Error(ErrorKind::data, "scene.obj.damaged", place(path, outline.face_lines.at(face)) + owner + why,
-                "export the mesh again");
+    refuse_damaged(path + ":" + std::to_string(outline.face_lines.at(face)), owner + why);
   }
 
   // 1-based or negative (counting back) to 0-based; -1 for "none given".
@@ -343,7 +336,7 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
   std::istringstream stream(outline.bare_groups.empty() ? text : with_blank_groups(text, outline.bare_groups));
   std::string warning, error;
   tinyobj::LoadObjWithCallback(stream, callbacks(), &builder, nullptr, &warning, &error);
-  if (!error.empty()) throw Error(ErrorKind::data, "scene.obj.damaged", path + ": " + error, "export the mesh again");
+  if (!error.empty()) refuse_damaged(path, error);
   for (const std::string& name : builder.missing_materials) {
     diagnostics.warning("scene.obj.material", path, "material '" + name + "' is not defined",
                         "its surfaces get a colour by object; add it to the MTL file");

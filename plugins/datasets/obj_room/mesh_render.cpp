@@ -482,7 +482,10 @@ MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std:
 
 void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t frame, FrameBuffer& out) const {
   const std::int32_t w = camera.width_px, h = camera.height_px;
-  const auto pixels = static_cast<std::size_t>(w) * static_cast<std::size_t>(h);
+  const auto place = [w](std::int32_t x, std::int32_t y) {
+    return static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
+  };
+  const std::size_t pixels = place(0, h);
   out.width_px = w;
   out.height_px = h;
   out.rgb.assign(pixels * 3, 0);
@@ -494,7 +497,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
   std::vector<Color> light(pixels);
   parallel_for(h, [&](std::int64_t y) {
     for (std::int32_t x = 0; x < w; ++x) {
-      const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
+      const std::size_t i = place(x, static_cast<std::int32_t>(y));
       const Vec3d d = camera.direction(x + 0.5, static_cast<double>(y) + 0.5);
       if (dot(d, d) < 0.5) continue;
       center[i] = surface(pose.t, pose.rotate(d));
@@ -510,10 +513,10 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
   parallel_for(h, [&](std::int64_t row) {
     const auto y = static_cast<std::int32_t>(row);
     for (std::int32_t x = 0; x < w; ++x) {
+      const std::size_t i = place(x, y);
       Color sum{};
       for (int k = 0; k < n * n; ++k) {
         const Vec3d d = camera.direction(x + (k % n + 0.5) / n, y + (k / n + 0.5) / n);
-        const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
         const Surface s = dot(d, d) < 0.5 ? Surface{} : n == 1 ? center[i] : surface(pose.t, pose.rotate(d));
         if (s.triangle < 0) {
           for (std::size_t c = 0; c < 3; ++c) sum[c] += settings_.background[c];
@@ -528,8 +531,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
             const std::int32_t px = x + dx + (k % n >= (n + 1) / 2 ? 1 : 0),
                                py = y + dy + (k / n >= (n + 1) / 2 ? 1 : 0);
             if (px < 0 || py < 0 || px >= w || py >= h) continue;
-            const std::size_t q =
-                static_cast<std::size_t>(py) * static_cast<std::size_t>(w) + static_cast<std::size_t>(px);
+            const std::size_t q = place(px, py);
             const Surface& o = center[q];
             if (o.object != s.object || dot(o.normal, s.normal) < 0.94f) continue;
             if (std::abs(dot(o.point - s.point, to_double(s.facet))) > slack) continue;
@@ -546,7 +548,6 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
         const Color glow = emission(s, a);
         for (std::size_t c = 0; c < 3; ++c) sum[c] += a[c] * e[c] / static_cast<float>(used) + glow[c];
       }
-      const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
       for (std::size_t c = 0; c < 3; ++c) {
         // Film-like shoulder, so that bright walls keep their shading: 1 - exp(-exposure * L).
         const float tone = 1 - std::exp(-settings_.exposure * sum[c] / static_cast<float>(n * n));
@@ -638,23 +639,12 @@ Mask Mask::load(const std::string& path) {
   Mask mask;
   const std::int32_t channels = image_size(path).channels;
   const bool has_alpha = channels == 4 || channels == 2;
-  const Image<std::uint8_t> black = read_rgb(path, has_alpha ? 0 : -1);
-  mask.width_ = black.width_px;
-  mask.height_ = black.height_px;
-  mask.values_.resize(black.pixels.size() / 3);
-  if (has_alpha) {
-    // Over white minus over black is 255 (1 - alpha).
-    const Image<std::uint8_t> white = read_rgb(path, 255);
-    for (std::size_t i = 0; i < mask.values_.size(); ++i) {
-      mask.values_[i] =
-          static_cast<std::uint8_t>(std::clamp(255 - (white.pixels[3 * i] - black.pixels[3 * i]), 0, 255));
-    }
-  } else {
-    for (std::size_t i = 0; i < mask.values_.size(); ++i) {
-      mask.values_[i] =
-          static_cast<std::uint8_t>((black.pixels[3 * i] + black.pixels[3 * i + 1] + black.pixels[3 * i + 2]) / 3);
-    }
-  }
+  const Image<std::uint8_t> image = read_rgb(path, has_alpha ? 0 : -1, &mask.values_);
+  mask.width_ = image.width_px;
+  mask.height_ = image.height_px;
+  for (std::size_t i = 0; !has_alpha && i < mask.values_.size(); ++i)
+    mask.values_[i] =
+        static_cast<std::uint8_t>((image.pixels[3 * i] + image.pixels[3 * i + 1] + image.pixels[3 * i + 2]) / 3);
   return mask;
 }
 

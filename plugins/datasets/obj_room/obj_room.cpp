@@ -11,6 +11,7 @@
 #include <tuple>
 
 #include "config/config_tree.h"
+#include "config/explain.h"
 #include "core/rng.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
@@ -141,13 +142,13 @@ class ObjRoom final : public Dataset {
     TriangleMesh mesh = load_obj(path, diagnostics);
     std::vector<std::int16_t> class_of = classes_of_mesh(mesh, rules, diagnostics);
     if (params_.instances == RoomInstances::pieces) mesh.piece_of = pieces_of(mesh, class_of, kPieceGap);
-    RenderSettings settings;
-    settings.up = up_of(params_.up);
-    settings.occlusion_rays = params_.occlusion_rays;
-    settings.shadow_rays = params_.shadow_rays;
-    settings.supersample = params_.supersample;
-    settings.exposure = static_cast<float>(params_.exposure);
-    settings.seed = static_cast<std::uint64_t>(params_.seed);
+    RenderSettings settings{.lights = {},
+                            .up = up_of(params_.up),
+                            .occlusion_rays = params_.occlusion_rays,
+                            .shadow_rays = params_.shadow_rays,
+                            .supersample = params_.supersample,
+                            .exposure = static_cast<float>(params_.exposure),
+                            .seed = static_cast<std::uint64_t>(params_.seed)};
     renderer_ = std::make_unique<MeshRenderer>(std::move(mesh), class_of, settings, diagnostics);
     const Box room = room_box(rules.table, class_of);
     settings.lights = lights(room, rules.table, class_of);
@@ -304,11 +305,8 @@ class ObjRoom final : public Dataset {
   void measure(SceneInfo& info, const Box& room) const {
     constexpr int kColumns = 24, kRows = 18;
     double nearest = 1e300, farthest = 0;
-    Box grown = room;
-    for (int k = 0; k < 3; ++k) {
-      grown.lo[k] -= 1.0;
-      grown.hi[k] += 1.0;
-    }
+    const Vec3d around{1, 1, 1}, edge{0.05, 0.05, 0.05};  // the grid misses the outermost corners
+    const Box grown{room.lo - around, room.hi + around};
     for (const FrameInfo& frame : info.frames) {
       info.bounds.include(frame.world_from_camera.t);
       for (int n = 0; n < kColumns * kRows; ++n) {
@@ -326,10 +324,7 @@ class ObjRoom final : public Dataset {
         info.bounds.include(p);
       }
     }
-    for (int k = 0; k < 3; ++k) {  // the grid misses the outermost corners
-      info.bounds.lo[k] -= 0.05;
-      info.bounds.hi[k] += 0.05;
-    }
+    info.bounds = {info.bounds.lo - edge, info.bounds.hi + edge};
     info.near_hint_m = params_.near_m > 0 ? params_.near_m : farthest > 0 ? 0.8 * nearest : 0;
     info.far_hint_m = params_.far_m > 0 ? params_.far_m : 1.05 * farthest;
   }
@@ -559,33 +554,21 @@ void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics
     diagnostics.error("classes.rule.format", where, "a rule is a map such as {object: \"chair_*\", class: chair}", {});
     return;
   }
+  refuse_unknown_keys(node, "rules: unknown key", {"object", "group", "material", "class"}, diagnostics);
   ClassRule rule;
-  bool has_class = false;
-  for (const auto& [key, value] : node.entries()) {
-    if (key == "object") {
-      rule.object = value.text();
-    } else if (key == "group") {
-      rule.group = value.text();
-    } else if (key == "material") {
-      rule.material = value.text();
-    } else if (key == "class") {
-      has_class = true;
-      const ClassEntry* entry = find_class(out.table, value.text());
-      if (entry == nullptr) {
-        std::vector<std::string> names;
-        for (const ClassEntry& e : out.table.entries()) names.push_back(e.name);
-        diagnostics.error("labels.class.unknown", value.location().text(), "no class named '" + value.text() + "'",
-                          near_name_remedy(value.text(), names));
-      } else {
-        rule.id = entry->id;
-      }
-    } else {
-      diagnostics.error(
-          "config.key.unknown", value.location().text(), "unknown key '" + key + "' in a rule",
-          near_name_remedy(key, {"object", "group", "material", "class"}, "known: object, group, material, class"));
-    }
+  for (const auto& [key, pattern] :
+       {std::pair{"object", &ClassRule::object}, {"group", &ClassRule::group}, {"material", &ClassRule::material}})
+    if (const ConfigNode* value = node.find(key)) rule.*pattern = value->text();
+  if (const ConfigNode* value = node.find("class"); value == nullptr) {
+    diagnostics.error("classes.rule.format", where, "the rule names no class", "add class: NAME");
+  } else if (const ClassEntry* entry = find_class(out.table, value->text())) {
+    rule.id = entry->id;
+  } else {
+    std::vector<std::string> names;
+    for (const ClassEntry& e : out.table.entries()) names.push_back(e.name);
+    diagnostics.error("labels.class.unknown", value->location().text(), "no class named '" + value->text() + "'",
+                      near_name_remedy(value->text(), names));
   }
-  if (!has_class) diagnostics.error("classes.rule.format", where, "the rule names no class", "add class: NAME");
   if (rule.object.empty() && rule.group.empty() && rule.material.empty()) {
     diagnostics.error("classes.rule.format", where, "the rule asks for no object, group or material",
                       "add object: \"PATTERN\"");
@@ -632,12 +615,7 @@ ClassRules load_class_rules(const std::string& path) {
     return out;
   }
   Diagnostics diagnostics;
-  for (const auto& [key, value] : root.entries()) {
-    if (key != "classes" && key != "rules") {
-      diagnostics.error("config.key.unknown", value.location().text(), "unknown key '" + key + "'",
-                        "known: classes, rules");
-    }
-  }
+  refuse_unknown_keys(root, "unknown key", {"classes", "rules"}, diagnostics);
   try {
     out.table = ClassTable::load(path);  // reads the list 'classes' of such a map
   } catch (const Error& e) {

@@ -125,7 +125,6 @@ class Texture {
   /// Throws Error naming the file.
   static Texture load(const std::string& path);
 
-  bool empty() const { return levels_.empty(); }
   std::int32_t width() const { return levels_.empty() ? 0 : levels_[0].width; }
   std::int32_t height() const { return levels_.empty() ? 0 : levels_[0].height; }
   /// Trilinear: (u, v) with v up as in OBJ files; `level` 0 = full size, each level halves it.
@@ -144,7 +143,6 @@ class Texture {
 class Mask {
  public:
   static Mask load(const std::string& path);
-  bool empty() const { return values_.empty(); }
   bool opaque(float u, float v) const;
 
  private:

@@ -38,15 +38,18 @@ struct TransformsLens {
   Camera told;  ///< focal lengths (fl_x, fl_y), kind and distortion
 };
 
-struct TransformsFrame {
+struct TransformsFiles {
+  FrameFiles files;                             ///< resolved; colour with its extension found
+  std::map<std::string, std::string> channels;  ///< name to file, of those that it has
+  double depth_unit_m = 0;                      ///< of one step of its depth image; 0 = not told
+};
+
+struct TransformsFrame : TransformsFiles {
   std::string place;      ///< "transforms.json: frame 3 (images/0003.jpg)"
   std::string file_path;  ///< as written
-  FrameFiles files;       ///< resolved; colour with its extension found
   TransformsLens lens;
   std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
   std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
-  std::map<std::string, std::string> channels;  ///< name to file, of those that it has
-  double depth_unit_m = 0;                      ///< of one step of its depth image; 0 = not told
 };
 
 struct TransformsIndex {
@@ -78,46 +81,60 @@ struct TransformsJsonParams {
 
 namespace {
 
+// Coefficients of distortion in the order of nerfstudio's list.
+constexpr std::pair<const char*, double Camera::*> kDistortion[] = {{"k1", &Camera::k1}, {"k2", &Camera::k2},
+                                                                    {"k3", &Camera::k3}, {"k4", &Camera::k4},
+                                                                    {"p1", &Camera::p1}, {"p2", &Camera::p2}};
+
+/// The value of a key; nullptr where there is none or it is null.
+const json* given(const json& node, const char* key) {
+  const auto found = node.find(key);
+  return found == node.end() || found->is_null() ? nullptr : &*found;
+}
+
+bool are_numbers(const json& list) {
+  return list.is_array() && std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); });
+}
+
 /// Reads values of a file or of one of its frames; what is wrong goes into the diagnostics under `place`.
 class TransformsValues {
  public:
   explicit TransformsValues(Diagnostics& diagnostics) : diagnostics_(diagnostics) {}
 
+  /// Reports a value that cannot be read. Always nothing, for callers that return what they read.
+  std::nullopt_t refuse(const std::string& place, const std::string& message, const char* remedy) {
+    diagnostics_.error("scene.index.value", place, message, remedy);
+    return std::nullopt;
+  }
+
   std::optional<double> number(const json& node, const char* key, const std::string& place) {
-    if (!node.contains(key) || node[key].is_null()) return std::nullopt;
-    if (!node[key].is_number()) {
-      diagnostics_.error("scene.index.value", place, std::string("'") + key + "' is not a number", "write a number");
-      return std::nullopt;
-    }
-    return node[key].get<double>();
+    const json* value = given(node, key);
+    if (value == nullptr) return std::nullopt;
+    if (!value->is_number()) return refuse(place, std::string("'") + key + "' is not a number", "write a number");
+    return value->get<double>();
   }
 
   // nerfstudio writes a flag, instant-ngp 0 or 1, and hand-made files "true". Nothing when reported.
   std::optional<bool> flag(const json& node, const char* key, const std::string& place) {
-    if (!node.contains(key) || node[key].is_null()) return false;
+    if (given(node, key) == nullptr) return false;
     const json& value = node[key];
     if (value.is_boolean()) return value.get<bool>();
     for (const auto& [means, as_written] :
          {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
       if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
     }
-    diagnostics_.error("scene.index.value", place,
-                       std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
-                       "write true or false");
-    return std::nullopt;
+    return refuse(place, std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
+                  "write true or false");
   }
 
   // The lens of a file or of one of its frames, which may leave it to the file; nothing when reported.
   std::optional<LensKind> model(const json& node, LensKind otherwise, const std::string& place) {
     std::string model;
-    if (node.contains("camera_model") && !node["camera_model"].is_null()) {
-      if (!node["camera_model"].is_string()) {
-        diagnostics_.error("scene.index.value", place,
-                           "'camera_model' is " + node["camera_model"].dump() + ", which is not a name",
-                           "write \"camera_model\": \"OPENCV\", or leave the key out");
-        return std::nullopt;
-      }
-      model = node["camera_model"].get<std::string>();
+    if (const json* name = given(node, "camera_model")) {
+      if (!name->is_string())
+        return refuse(place, "'camera_model' is " + name->dump() + ", which is not a name",
+                      "write \"camera_model\": \"OPENCV\", or leave the key out");
+      model = name->get<std::string>();
     }
     const std::optional<bool> fisheye = flag(node, "is_fisheye", place);
     if (!fisheye) return std::nullopt;
@@ -138,23 +155,20 @@ class TransformsValues {
     return std::nullopt;
   }
 
-  TransformsLens lens(const json& node, const TransformsLens& base, const std::string& place) {
+  /// What a file or a frame leaves out, `base` has; nothing for a lens that is not read, which is reported.
+  std::optional<TransformsLens> lens(const json& node, const TransformsLens& base, const std::string& place) {
+    const std::optional<LensKind> kind = model(node, base.told.lens, place);
+    if (!kind) return std::nullopt;
     TransformsLens out = base;
+    out.told.lens = *kind;
     const std::pair<const char*, double*> fields[] = {{"w", &out.w},
                                                       {"h", &out.h},
                                                       {"fl_x", &out.told.fx},
                                                       {"fl_y", &out.told.fy},
                                                       {"camera_angle_x", &out.camera_angle_x},
-                                                      {"camera_angle_y", &out.camera_angle_y},
-                                                      {"k1", &out.told.k1},
-                                                      {"k2", &out.told.k2},
-                                                      {"k3", &out.told.k3},
-                                                      {"k4", &out.told.k4},
-                                                      {"p1", &out.told.p1},
-                                                      {"p2", &out.told.p2}};
-    for (const auto& [key, field] : fields) {
-      if (const auto value = number(node, key, place)) *field = *value;
-    }
+                                                      {"camera_angle_y", &out.camera_angle_y}};
+    for (const auto& [key, field] : fields) *field = number(node, key, place).value_or(*field);
+    for (const auto& [key, field] : kDistortion) out.told.*field = number(node, key, place).value_or(out.told.*field);
     if (const auto value = number(node, "cx", place)) out.cx = value;
     if (const auto value = number(node, "cy", place)) out.cy = value;
     read_distortion(node, out, place);
@@ -174,12 +188,11 @@ class TransformsValues {
       const std::optional<double> value = number(node, key, place);
       if (!value || *value == 0) continue;
       if (!(*value >= 1e-9 && *value <= 1e6)) {
-        diagnostics_.error("scene.index.value", place, std::string(key) + " must be positive, from 1e-9 to 1e6",
-                           "write the metres of one step, such as 0.001");
+        refuse(place, std::string(key) + " must be positive, from 1e-9 to 1e6",
+               "write the metres of one step, such as 0.001");
       } else if (from != nullptr && *value != unit) {
-        diagnostics_.error("scene.index.value", place,
-                           std::string("'") + key + "' is not what '" + from + "' says of the unit of depth",
-                           "keep one of the two");
+        refuse(place, std::string("'") + key + "' is not what '" + from + "' says of the unit of depth",
+               "keep one of the two");
       } else {
         from = key;
         unit = *value;
@@ -191,29 +204,26 @@ class TransformsValues {
   const std::string& unclear_depth_key() const { return unclear_depth_key_; }
 
  private:
+  // Whether a single key is left out or says what `whole`, which has its value too, says; reports it otherwise.
+  bool agrees(const json& node, const char* key, double value, const char* whole, const std::string& place) {
+    if (!node.contains(key) || !node[key].is_number() || node[key].get<double>() == value) return true;
+    refuse(place, std::string("'") + key + "' is not what '" + whole + "' has in its place", "keep one of the two");
+    return false;
+  }
+
   // nerfstudio's list of all coefficients, which takes the place of the single keys there.
   void read_distortion(const json& node, TransformsLens& lens, const std::string& place) {
-    if (!node.contains("distortion_params") || node["distortion_params"].is_null()) return;
-    const json& list = node["distortion_params"];
-    const std::pair<const char*, double*> fields[] = {{"k1", &lens.told.k1}, {"k2", &lens.told.k2},
-                                                      {"k3", &lens.told.k3}, {"k4", &lens.told.k4},
-                                                      {"p1", &lens.told.p1}, {"p2", &lens.told.p2}};
-    if (!list.is_array() || list.size() != std::size(fields) ||
-        !std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); })) {
-      diagnostics_.error("scene.index.value", place, "'distortion_params' is not a list of six numbers",
-                         "write [k1, k2, k3, k4, p1, p2]");
+    const json* list = given(node, "distortion_params");
+    if (list == nullptr) return;
+    if (!are_numbers(*list) || list->size() != std::size(kDistortion)) {
+      refuse(place, "'distortion_params' is not a list of six numbers", "write [k1, k2, k3, k4, p1, p2]");
       return;
     }
-    for (std::size_t i = 0; i < std::size(fields); ++i) {
-      const auto& [key, field] = fields[i];
-      const double value = list[i].get<double>();
-      if (node.contains(key) && node[key].is_number() && node[key].get<double>() != value) {
-        diagnostics_.error("scene.index.value", place,
-                           std::string("'") + key + "' is not what 'distortion_params' has in its place",
-                           "keep one of the two");
-        return;
-      }
-      *field = value;
+    for (std::size_t i = 0; i < std::size(kDistortion); ++i) {
+      const auto& [key, field] = kDistortion[i];
+      const double value = (*list)[i].get<double>();
+      if (!agrees(node, key, value, "distortion_params", place)) return;
+      lens.told.*field = value;
     }
   }
 
@@ -240,8 +250,9 @@ class TransformsValues {
   // A lens as the matrix of a pinhole camera, row by row or transposed.
   void read_camera_matrix(const json& node, TransformsLens& lens, const std::string& place) {
     for (const char* key : {"K", "intrinsics", "intrinsic_matrix", "camera_matrix", "cam_K"}) {
-      if (!node.contains(key) || node[key].is_null()) continue;
-      const std::optional<std::array<double, 9>> found = matrix_of(node[key]);
+      const json* matrix = given(node, key);
+      if (matrix == nullptr) continue;
+      const std::optional<std::array<double, 9>> found = matrix_of(*matrix);
       std::array<double, 9> k = found.value_or(std::array<double, 9>{});
       if (k[2] == 0 && k[5] == 0) {
         std::swap(k[1], k[3]);
@@ -256,13 +267,8 @@ class TransformsValues {
         return;
       }
       const std::pair<const char*, double> same[] = {{"fl_x", k[0]}, {"fl_y", k[4]}, {"cx", k[2]}, {"cy", k[5]}};
-      for (const auto& [name, value] : same) {
-        if (!node.contains(name) || !node[name].is_number() || node[name].get<double>() == value) continue;
-        diagnostics_.error("scene.index.value", place,
-                           std::string("'") + name + "' is not what '" + key + "' has in its place",
-                           "keep one of the two");
-        return;
-      }
+      for (const auto& [name, value] : same)
+        if (!agrees(node, name, value, key, place)) return;
       lens.told.fx = k[0];
       lens.told.fy = k[4];
       lens.cx = k[2];
@@ -343,10 +349,8 @@ class FileReader {
       throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' has no list 'frames'",
                   "give a transforms.json of nerfstudio, instant-ngp or Blender");
     }
-    const std::optional<LensKind> kind = values_.model(root, LensKind::perspective, path_);
-    if (!kind) return;
-    TransformsLens lens = values_.lens(root, {}, path_);
-    lens.told.lens = *kind;
+    const std::optional<TransformsLens> lens = values_.lens(root, {}, path_);
+    if (!lens) return;
     const double depth_unit_m = values_.depth_unit(root, 0, path_);
     read_depth_camera(root);
     out_.metric = values_.flag(root, "metric", path_).value_or(false) || out_.metric;
@@ -356,7 +360,7 @@ class FileReader {
     const bool sound = check_keys(root, false, path_);
     SplitLists lists = read_split_lists(root);
     for (std::size_t i = 0; i < root["frames"].size(); ++i) {
-      TransformsFrame frame = read_frame(root["frames"][i], i, lens, sound);
+      TransformsFrame frame = read_frame(root["frames"][i], i, *lens, sound);
       if (frame.files.color.empty()) {
         frame.split = split_;
       } else {
@@ -402,14 +406,15 @@ class FileReader {
   SplitLists read_split_lists(const json& root) {
     SplitLists lists;
     for (SplitList* list : {&lists.train, &lists.test, &lists.val}) {
-      if (!root.contains(list->key) || root[list->key].is_null()) continue;
-      const json& names = root[list->key];
-      if (!names.is_array() || !std::all_of(names.begin(), names.end(), [](const json& n) { return n.is_string(); })) {
-        diagnostics_.error("scene.index.value", path_, std::string("'") + list->key + "' is not a list of names",
-                           "write the 'file_path' of each frame");
+      const json* names = given(root, list->key);
+      if (names == nullptr) continue;
+      if (!names->is_array() ||
+          !std::all_of(names->begin(), names->end(), [](const json& n) { return n.is_string(); })) {
+        values_.refuse(path_, std::string("'") + list->key + "' is not a list of names",
+                       "write the 'file_path' of each frame");
         continue;
       }
-      for (const json& name : names) {
+      for (const json& name : *names) {
         const auto text = name.get<std::string>();
         list->names.try_emplace(path_of_name(text), text, false);
       }
@@ -458,16 +463,14 @@ class FileReader {
       for (std::size_t a = 0; a < 3; ++a) {
         const json& one = given.is_array() && given.size() == 3 ? given[a] : given;
         if (!one.is_number()) {
-          diagnostics_.error("scene.index.value", path_, "'offset' is neither a number nor a list of 3",
-                             "write [0.5, 0.5, 0.5]");
+          values_.refuse(path_, "'offset' is neither a number nor a list of 3", "write [0.5, 0.5, 0.5]");
           return;
         }
         offset[static_cast<int>(a)] = one.get<double>();
       }
     }
     if (!(*side > 0) || !(scale > 0) || !std::isfinite(*side / scale)) {
-      diagnostics_.error("scene.index.value", path_, "'aabb_scale' and 'scale' must be positive",
-                         "write \"aabb_scale\": 1 or a power of two");
+      values_.refuse(path_, "'aabb_scale' and 'scale' must be positive", "write \"aabb_scale\": 1 or a power of two");
       return;
     }
     for (int a = 0; a < 3; ++a) {
@@ -477,7 +480,7 @@ class FileReader {
   }
 
   void read_depth_camera(const json& root) {
-    if (!root.contains("depth_camera") || root["depth_camera"].is_null()) return;
+    if (given(root, "depth_camera") == nullptr) return;
     const json& node = root["depth_camera"];
     const std::string place = path_ + ": 'depth_camera'";
     const json* rows = node.is_object() && node.contains("depth_from_color") ? &node["depth_from_color"] : nullptr;
@@ -488,10 +491,7 @@ class FileReader {
                          "camera");
       return;
     }
-    const std::optional<LensKind> kind = values_.model(node, LensKind::perspective, place);
-    if (!kind) return;
     out_.depth_lens = values_.lens(node, {}, place);
-    out_.depth_lens->told.lens = *kind;
   }
 
   void read_classes(const json& root) {
@@ -507,8 +507,8 @@ class FileReader {
                                 (!c.contains("ignore") || c["ignore"].is_boolean());
                        });
     if (!valid) {
-      diagnostics_.error("scene.index.value", path_, "'classes' is neither a path nor a list of {id, name, ignore}",
-                         "write \"classes\": \"classes.yaml\"");
+      values_.refuse(path_, "'classes' is neither a path nor a list of {id, name, ignore}",
+                     "write \"classes\": \"classes.yaml\"");
       return;
     }
     for (const json& c : classes) {
@@ -554,10 +554,13 @@ class FileReader {
       return frame;
     }
     frame.place += " (" + frame.file_path + ")";
-    const std::optional<LensKind> kind = values_.model(item, lens.told.lens, frame.place);
-    if (!kind || !sound || !keys_are_read) return frame;
-    frame.lens = values_.lens(item, lens, frame.place);
-    frame.lens.told.lens = *kind;
+    if (!sound || !keys_are_read) {
+      values_.model(item, lens.told.lens, frame.place);  // which is said all the same
+      return frame;
+    }
+    const std::optional<TransformsLens> own = values_.lens(item, lens, frame.place);
+    if (!own) return frame;
+    frame.lens = *own;
     frame.files.color = file_of(folder_ / frame.file_path);
     const char* const depth_key = path_of("depth_path").empty() ? "depth_file_path" : "depth_path";  // nerfstudio's
     for (const auto& [key, file] : {std::pair{depth_key, &FrameFiles::depth},
@@ -609,9 +612,7 @@ class FileReader {
   // Poses as exporters of trackers write them.
   static std::string quaternion_in(const json& item) {
     for (const auto& [key, value] : item.items()) {
-      const bool numbers =
-          value.is_array() && std::all_of(value.begin(), value.end(), [](const json& v) { return v.is_number(); });
-      if (numbers && (value.size() == 4 || value.size() == 7 || value.size() == 8))
+      if (are_numbers(value) && (value.size() == 4 || value.size() == 7 || value.size() == 8))
         return "; '" + key + "' looks like a quaternion, which is not read";
     }
     return "";
@@ -793,30 +794,24 @@ bool is_real(const std::string& depth) {
 // The camera of one frame; the image's header tells the size where the file does not. False when reported.
 bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit& sizes, Camera& out,
                   Diagnostics& diagnostics) {
-  ImageSize size;
-  if (in.lens.w != 0 || in.lens.h != 0) {
-    if (!whole_size(in.lens.w) || !whole_size(in.lens.h)) {
-      diagnostics.error("scene.image.size", place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
-                        "write the size of the image, or leave both out");
-      return false;
-    }
-    try {
-      check_input_limit(static_cast<std::int64_t>(std::max(in.lens.w, in.lens.h)), input_limits().image_axis_px,
-                        "image size 'w' x 'h': ", "pixels along an axis", "image_axis_px");
-    } catch (const Error& e) {
-      diagnostics.error(e.code(), place, e.message(), e.remedy());
-      return false;
-    }
-    size = {static_cast<std::int32_t>(in.lens.w), static_cast<std::int32_t>(in.lens.h), 3, 8};
-  } else {
-    try {
-      size = image_size(in.files.color);
-    } catch (const Error& e) {
-      diagnostics.error(e.code(), place, "colour image " + e.message(), e.remedy());
-      return false;
-    }
-  }
   const TransformsLens& l = in.lens;
+  const bool told = l.w != 0 || l.h != 0;
+  if (told && (!whole_size(l.w) || !whole_size(l.h))) {
+    diagnostics.error("scene.image.size", place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
+                      "write the size of the image, or leave both out");
+    return false;
+  }
+  ImageSize size{static_cast<std::int32_t>(l.w), static_cast<std::int32_t>(l.h), 3, 8};
+  try {
+    if (told)
+      check_input_limit(static_cast<std::int64_t>(std::max(l.w, l.h)), input_limits().image_axis_px,
+                        "image size 'w' x 'h': ", "pixels along an axis", "image_axis_px");
+    else
+      size = image_size(in.files.color);
+  } catch (const Error& e) {
+    diagnostics.error(e.code(), place, (told ? "" : "colour image ") + e.message(), e.remedy());
+    return false;
+  }
   if (l.told.fx == 0 && l.told.fy == 0 && l.camera_angle_x == 0 && l.camera_angle_y == 0 &&
       l.told.lens != LensKind::equirectangular) {
     diagnostics.error("scene.camera.missing", place,
@@ -824,7 +819,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
                       "write 'fl_x', 'fl_y', 'cx' and 'cy' in pixels");
     return false;
   }
-  out = camera_of(in.lens, size.width_px, size.height_px);
+  out = camera_of(l, size.width_px, size.height_px);
   return sizes.fit(in.files.color, place, out, diagnostics) && check_principal_point(out, place, diagnostics) &&
          check_camera(out, place, diagnostics);
 }
@@ -890,10 +885,8 @@ class TransformsJson final : public Dataset {
       info_.frames.push_back(frame);
       unit_told = unit_told && (!frame.has_depth || in.depth_unit_m > 0);
       real_depth += frame.has_depth && in.depth_unit_m > 0 && in.depth_unit_m != 1 && is_real(files.depth) ? 1 : 0;
-      sources_.push_back({files, in.channels,
-                          params_.depth_unit_m > 0 ? params_.depth_unit_m
-                          : in.depth_unit_m > 0    ? in.depth_unit_m
-                                                   : 0.001});
+      const double unit_m = params_.depth_unit_m > 0 ? params_.depth_unit_m : in.depth_unit_m;
+      sources_.push_back({files, in.channels, unit_m > 0 ? unit_m : 0.001});
     }
     check.report(root_, info_.frames.size(), diagnostics);
     sizes.report(root_, diagnostics);
@@ -919,7 +912,7 @@ class TransformsJson final : public Dataset {
   void read(int frame, FrameBuffer& out) const override {
     const auto i = static_cast<std::size_t>(frame);
     const std::vector<std::string> wanted = out.wanted;
-    const Source& source = sources_.at(i);
+    const TransformsFiles& source = sources_.at(i);
     const auto wants = [&](std::string_view name) {
       return std::find(wanted.begin(), wanted.end(), name) != wanted.end();
     };
@@ -994,12 +987,6 @@ class TransformsJson final : public Dataset {
     return splits;
   }
 
-  struct Source {
-    FrameFiles files;
-    std::map<std::string, std::string> channels;  // name to file
-    double depth_unit_m;
-  };
-
   std::string folder() const { return fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_; }
 
   void read_depth_camera(const TransformsIndex& index, Diagnostics& diagnostics) {
@@ -1043,7 +1030,7 @@ class TransformsJson final : public Dataset {
   TransformsJsonParams params_;
   std::string root_, class_file_;
   SceneInfo info_;
-  std::vector<Source> sources_;              // of each frame
+  std::vector<TransformsFiles> sources_;     // of each frame
   std::optional<DepthCamera> depth_camera_;  // where depth is of another camera
 };
 
