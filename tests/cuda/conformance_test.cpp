@@ -12,6 +12,7 @@
 #include "plugin/reference.h"
 #include "testkit/host_twin.h"
 #include "tests/conformance/rows.h"
+#include "tests/cuda/device_fixture.h"
 #include "tests/program.h"
 
 namespace semfield::testkit {
@@ -19,15 +20,7 @@ namespace {
 
 std::string name_of(const ::testing::TestParamInfo<Row>& info) { return info.param.text(); }
 
-const Registry& registry_with_cuda() {
-  static const Registry registry = [] {
-    Registry filled;
-    register_linked_plugins(filled);
-    cuda_library().add_kernels(filled.kernels());
-    return filled;
-  }();
-  return registry;
-}
+using testing::registry_with_cuda;
 
 LawOptions device_laws(int gradient_elements) {
   return LawOptions{.gradient_elements = gradient_elements, .scratch = cuda_library().calls.memory};

@@ -7,7 +7,6 @@
 #include <gtest/gtest.h>
 
 #include <cstring>
-#include <initializer_list>
 #include <optional>
 
 #include "core/non_copyable.h"
@@ -15,10 +14,12 @@
 #include "core/view.h"
 #include "core/workspace.h"
 #include "cuda/launch.h"
+#include "execution/device_library.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
-#include "testkit/compare.h"
+#include "plugin/loader.h"
 #include "testkit/benches.h"
+#include "testkit/compare.h"
 
 namespace semfield::testing {
 
@@ -46,12 +47,18 @@ class DeviceTest : public ::testing::Test {
   void SetUp() override { SEMFIELD_NEEDS_DEVICE(); }
 };
 
-/// What these functions add: `x_kernels` of plugins, cuda::add_plugin_kernels.
-inline KernelTables tables_of(std::initializer_list<void (*)(KernelTables&)> adders) {
-  KernelTables tables;
-  for (const auto add : adders) add(tables);
-  return tables;
+/// Every plugin of the build, with its kernels for the device.
+inline const Registry& registry_with_cuda() {
+  static const Registry registry = [] {
+    Registry filled;
+    register_linked_plugins(filled);
+    cuda_library().add_kernels(filled.kernels());
+    return filled;
+  }();
+  return registry;
 }
+
+inline const KernelTables& all_kernels() { return registry_with_cuda().kernels(); }
 
 /// A row-major matrix in device memory. Gaps between rows, and some elements behind the last, are filled with one bits
 /// (NaN in float, -1 in integers), and so is a matrix that was given no values: what a kernel must write is seen, and

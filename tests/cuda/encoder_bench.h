@@ -7,20 +7,18 @@
 #include "plugin/encoder.h"
 #include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"
+#include "tests/encoder_box.h"
 
 namespace semfield::testing {
 
 /// An encoder on the device and its float64 twin on the CPU.
-template <template <class> class Plugin>
 struct EncoderTwins {
-  template <class Params>
-  EncoderTwins(void (*kernels)(KernelTables&), const Params& params, std::int32_t dims = 3)
-      : tables(tables_of({kernels, cuda::add_plugin_kernels})),
-        device(params, {.device = Device::cuda, .in_dims = dims}, tables),
-        host(params, {.device = Device::cpu, .in_dims = dims}, tables) {}
-  KernelTables tables;
-  Plugin<float> device;
-  Plugin<double> host;
+  EncoderTwins(const std::string& name, const testkit::Settings& settings, std::int32_t dims = 3)
+      : device(testkit::make_part<float>(registry_with_cuda(), name, settings,
+                                         EncoderBuild{.device = Device::cuda, .in_dims = dims})),
+        host(testkit::make_part<double>(registry_with_cuda(), name, settings, EncoderBuild{.in_dims = dims})) {}
+  std::unique_ptr<Encoder<float>> device;
+  std::unique_ptr<Encoder<double>> host;
 };
 
 /// Coordinates with all bits of a double in use.
@@ -37,10 +35,10 @@ struct Strides {
 inline constexpr Strides kStrides[] = {{0, 0}, {1, 1}, {2, 5}};
 
 /// y and dx of both twins; errors relative to the largest value, of dx to the largest slope of any output.
-template <template <class> class Plugin>
-void expect_twins(const EncoderTwins<Plugin>& twins, const std::vector<double>& x, Strides strides, double tolerance,
-                  double dx_tolerance) {
-  const auto& [tables, device, host] = twins;
+inline void expect_twins(const EncoderTwins& twins, const std::vector<double>& x, Strides strides, double tolerance,
+                         double dx_tolerance) {
+  const Encoder<float>& device = *twins.device;
+  const Encoder<double>& host = *twins.host;
   const EncoderTraits traits = host.traits();
   const auto rows = static_cast<std::int64_t>(x.size()) / traits.in_dims;
   const std::vector<float> dy = random_floats(rows * traits.out_dims, 7, -1, 1);
@@ -70,9 +68,9 @@ void expect_twins(const EncoderTwins<Plugin>& twins, const std::vector<double>& 
 }
 
 /// The same for batches of many sizes, the largest of `most` rows, and of every stride; `x_of` gives their coordinates.
-template <template <class> class Plugin, class Coordinates>
-void expect_twins_of_any_size(const EncoderTwins<Plugin>& twins, const std::string& which, Coordinates&& x_of,
-                              double tolerance, double dx_tolerance, std::int64_t most = 4097) {
+template <class Coordinates>
+void expect_twins_of_any_size(const EncoderTwins& twins, const std::string& which, Coordinates&& x_of, double tolerance,
+                              double dx_tolerance, std::int64_t most = 4097) {
   for (const std::int64_t rows :
        {std::int64_t{0}, std::int64_t{1}, std::int64_t{31}, std::int64_t{33}, std::int64_t{64}, most}) {
     for (const Strides strides : kStrides) {

@@ -7,7 +7,6 @@
 #include "cuda/steps/batch_drawer.h"
 #include "cuda/stream_executor.h"
 #include "device_fixture.h"
-#include "execution/device_library.h"
 #include "plugin/head.h"
 #include "testkit/compare.h"
 #include "tests/conformance/rows.h"
@@ -436,8 +435,7 @@ void expect_forms(const Field<float>& field, testkit::FieldBench<double>& bench)
 
 TEST(CudaFieldForms, AreTheFeatureInFull) {
   SEMFIELD_NEEDS_DEVICE();
-  KernelTables tables = testkit::linked_registry().kernels();
-  cuda_library().add_kernels(tables);
+  const KernelTables& tables = testing::all_kernels();
   int with_forms = 0;
   std::vector<Row> rows = testkit::rows_of(PluginKind::field);
   for (const std::string& name : testkit::linked_registry().names(PluginKind::field))

@@ -5,10 +5,8 @@
 
 #include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
-#include "execution/device_library.h"
 #include "losses/semantic_cross_entropy.h"
 #include "objects/object_network.h"
-#include "plugin/loader.h"
 #include "testkit/compare.h"
 #include "testkit/loss_rays.h"
 #include "tests/conformance/rows.h"
@@ -306,21 +304,16 @@ std::vector<float> added(const DeviceMatrix<float>& gradient, std::size_t rows) 
   return values;
 }
 
-const KernelTables& kernels() {
-  static const KernelTables tables = testing::tables_of({cuda::add_plugin_kernels});
-  return tables;
-}
-
 // A loss of a conformance row, with its kernels; none for a loss of CPUs alone.
 std::vector<cuda::DeviceLoss> device_losses(const testkit::Row& row) {
   const PluginEntry& entry = testkit::linked_registry().get(PluginKind::loss, row.name);
   std::shared_ptr<const Loss> loss = entry.loss(*testkit::make_params(entry, row.settings));
-  if (!kernels().has(Device::cuda, "loss '" + row.name + "'")) {
+  if (!testing::all_kernels().has(Device::cuda, "loss '" + row.name + "'")) {
     std::cout << "loss '" << row.name << "' has no cuda kernels: runs with it stay on the CPU\n";
     return {};
   }
   const LossList list({{row.name, loss, nullptr, ""}, {row.name, loss, nullptr, ""}});
-  return cuda::loss_kernels(list, &kernels());
+  return cuda::loss_kernels(list, &testing::all_kernels());
 }
 
 void loss_terms_expect_same(const testkit::Row& row, const std::vector<int>& counts, int gap,
@@ -397,18 +390,8 @@ TEST(CudaLosses, NoTargetsAreNoLoss) {
 
 // Groupings on the device against those of the CPU: sums, gradients, and networks that learn.
 
-const Registry& registry() {
-  static const Registry* const with_device = [] {
-    auto* const made = new Registry();
-    register_linked_plugins(*made);
-    cuda_library().add_kernels(made->kernels());
-    return made;
-  }();
-  return *with_device;
-}
-
 std::unique_ptr<Grouping> grouping_of(const std::string& name) {
-  const PluginEntry& entry = registry().get(PluginKind::grouping, name);
+  const PluginEntry& entry = testing::registry_with_cuda().get(PluginKind::grouping, name);
   return entry.grouping(*entry.new_params());
 }
 
@@ -434,10 +417,10 @@ struct Images {
 
 TEST(CudaGroupings, SumAndGradientsAreTheCpus) {
   SEMFIELD_ON_DEVICE(launch);
-  for (const std::string& name : registry().names(PluginKind::grouping)) {
+  for (const std::string& name : testing::registry_with_cuda().names(PluginKind::grouping)) {
     SCOPED_TRACE(name);
     const std::unique_ptr<Grouping> grouping = grouping_of(name);
-    const GroupingKernel kernel = grouping->kernel(Device::cuda, registry().kernels());
+    const GroupingKernel kernel = grouping->kernel(Device::cuda, testing::registry_with_cuda().kernels());
     ASSERT_NE(kernel, nullptr);
     const std::int32_t width = grouping->width();
     for (const std::int64_t points : {1, 2, 33, 256, 301}) {
@@ -502,13 +485,13 @@ TEST(CudaGroupings, ANetworkLearnsWhatTheCpuDoesAndRepeatsItsBits) {
   }
   const Box box{{-1, -1, -1}, {1, 1, 1}};
   const ObjectLearning learning{.steps = 25, .views = 4, .view_points = 64};
-  for (const std::string& name : registry().names(PluginKind::grouping)) {
+  for (const std::string& name : testing::registry_with_cuda().names(PluginKind::grouping)) {
     SCOPED_TRACE(name);
     const std::unique_ptr<Grouping> grouping = grouping_of(name);
     std::vector<std::vector<float>> found;
     double said = 0;
     for (const bool on_gpu : {false, true, true}) {
-      ObjectNetwork<float> net(registry().kernels(), *grouping, {}, box, 3, learning.views);
+      ObjectNetwork<float> net(testing::registry_with_cuda().kernels(), *grouping, {}, box, 3, learning.views);
       const auto say = [&](double done, double of) { said = done / of; };
       if (on_gpu)
         EXPECT_TRUE(net.learn_on_gpu(0, positions, sights, learning, say));

@@ -6,32 +6,22 @@
 #include "cuda/kernels/kernels.h"
 #include "plugin/kernels.h"
 #include "plugin/sampler.h"
-#include "samplers/stratified/stratified.h"
-#include "tests/conformance/rows.h"
 #include "tests/cuda/device_fixture.h"
+#include "tests/encoder_box.h"
 
 namespace semfield::testing {
-
-inline const KernelTables& sampler_tables() {
-  static const KernelTables tables = [] {
-    KernelTables all = testkit::linked_registry().kernels();
-    cuda::add_plugin_kernels(all);
-    return all;
-  }();
-  return tables;
-}
 
 inline SamplerBuild room_on(Device device) {
   return SamplerBuild{.device = device, .bounds = {{-2, -2, -1}, {3, 2, 2}}, .near_m = 0.05, .far_m = 12};
 }
 
 /// One sampler with the kernels of both devices.
-template <template <class> class Plugin>
 struct Twins {
-  template <class Params>
-  explicit Twins(const Params& params)
-      : cpu(params, room_on(Device::cpu), sampler_tables()), device(params, room_on(Device::cuda), sampler_tables()) {}
-  Plugin<float> cpu, device;
+  Twins(const std::string& name, const testkit::Settings& settings)
+      : on_cpu(testkit::make_part<float>(registry_with_cuda(), name, settings, room_on(Device::cpu))),
+        on_device(testkit::make_part<float>(registry_with_cuda(), name, settings, room_on(Device::cuda))) {}
+  std::unique_ptr<Sampler<float>> on_cpu, on_device;
+  const Sampler<float>&cpu = *on_cpu, &device = *on_device;
 };
 
 struct HostRays {
@@ -215,7 +205,7 @@ inline std::string compare(const Sampler<float>& cpu, const Sampler<float>& devi
 /// Previous samples of `rays`: up to `per_ray` per ray, fewer on every third ray if ragged, with weights of many sizes,
 /// spikes, and rays without any weight.
 inline HostProposal previous_of(const HostRays& rays, std::int64_t per_ray, bool ragged) {
-  const Twins<Stratified> twins(StratifiedParams{std::max<std::int64_t>(1, per_ray), Quadrature::paper});
+  const Twins twins("stratified", {{"samples", std::to_string(std::max<std::int64_t>(1, per_ray))}});
   const HostSamples all = sample_on_cpu(twins.cpu, context_at(3, true), {}, rays);
   HostProposal previous{.per_ray = per_ray};
   previous.samples.first.push_back(0);

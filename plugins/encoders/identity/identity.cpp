@@ -1,10 +1,23 @@
-// Parameters, traits and registration of the identity encoder.
-#include "encoders/identity/identity.h"
-
+// The encoder that passes coordinates through: y = x.
+#include "config/params.h"
+#include "encoders/identity/identity_kernels.h"
+#include "plugin/encoder.h"
+#include "plugin/kernels.h"
 #include "plugin/module.h"
 #include "plugin/registry.h"
 
 namespace semfield {
+
+struct IdentityParams {};
+
+/// y [M, in_dims] = x, rounded to Real. Throws Error(data) for a coordinate that is not finite.
+template <class Real>
+class Identity final : public RowEncoder<Real, IdentityShape> {
+ public:
+  Identity(const IdentityParams&, const EncoderBuild& build, const KernelTables& kernels)
+      : RowEncoder<Real, IdentityShape>(build, kernels, "encoder 'identity'",
+                                        {build.in_dims, build.in_dims, Domain::metric}, {}) {}
+};
 
 void describe(ParamVisitor&, IdentityParams&) {}
 

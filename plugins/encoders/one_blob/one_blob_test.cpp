@@ -1,7 +1,6 @@
 // Tests of the one-blob encoder against long double references: values, slopes, the cube's rim, refusals.
-#include "encoders/one_blob/one_blob.h"
-
 #include <algorithm>
+#include <cmath>
 
 #include "core/rng.h"
 #include "tests/conformance/rows.h"

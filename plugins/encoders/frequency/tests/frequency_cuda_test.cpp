@@ -1,5 +1,5 @@
 // The frequency encoder on the device against its float64 twin on the CPU.
-#include "encoders/frequency/frequency.h"
+#include "encoders/frequency/frequency_kernels.h"
 #include "tests/cuda/encoder_bench.h"
 
 namespace semfield {
@@ -8,21 +8,31 @@ namespace {
 using namespace testing;
 
 struct FrequencyCase {
-  std::int32_t dims = 3;
-  FrequencyParams params;
+  std::int32_t dims, bands;
+  bool input = true;
+  const char *angular = "radian", *arithmetic = "float64";
+
+  EncoderTwins twins() const {
+    return {"frequency",
+            {{"frequencies", std::to_string(bands)},
+             {"include_input", input ? "true" : "false"},
+             {"angular", angular},
+             {"arithmetic", arithmetic}},
+            dims};
+  }
 };
 
 std::vector<FrequencyCase> frequency_cases() {
   std::vector<FrequencyCase> cases;
-  for (const Arithmetic arithmetic : {Arithmetic::float64, Arithmetic::float32, Arithmetic::naive}) {
-    for (const Angular angular : {Angular::radian, Angular::pi}) cases.push_back({3, {10, true, angular, arithmetic}});
+  for (const char* arithmetic : {"float64", "float32", "naive"}) {
+    for (const char* angular : {"radian", "pi"}) cases.push_back({3, 10, true, angular, arithmetic});
   }
-  cases.push_back({3, {4, true, Angular::radian, Arithmetic::float64}});
-  cases.push_back({3, {10, false, Angular::radian, Arithmetic::float64}});
-  cases.push_back({2, {7, true, Angular::radian, Arithmetic::float64}});
-  cases.push_back({1, {0, true, Angular::radian, Arithmetic::float64}});
-  cases.push_back({kFrequencyMaxDims, {40, true, Angular::pi, Arithmetic::float64}});
-  cases.push_back({kFrequencyMaxDims, {40, false, Angular::radian, Arithmetic::float64}});
+  cases.push_back({3, 4});
+  cases.push_back({3, 10, false});
+  cases.push_back({2, 7});
+  cases.push_back({1, 0});
+  cases.push_back({kFrequencyMaxDims, 40, true, "pi"});
+  cases.push_back({kFrequencyMaxDims, 40, false});
   return cases;
 }
 
@@ -30,9 +40,9 @@ using CudaFrequency = testing::DeviceTest;
 
 TEST_F(CudaFrequency, FollowsItsTwinOnTheCpu) {
   for (const FrequencyCase& c : frequency_cases()) {
-    const EncoderTwins<Frequency> twins(frequency_kernels, c.params, c.dims);
-    const std::string which = std::to_string(c.dims) + " coordinates, " + std::to_string(c.params.frequencies) +
-                              " bands, arithmetic " + std::to_string(static_cast<int>(c.params.arithmetic));
+    const EncoderTwins twins = c.twins();
+    const std::string which =
+        std::to_string(c.dims) + " coordinates, " + std::to_string(c.bands) + " bands, arithmetic " + c.arithmetic;
     // Values: half a unit in the last place of 4 (the input) and of the polynomials. dx: its bands add up to 2^L with
     // errors of 1.2e-7 each.
     expect_twins_of_any_size(
@@ -42,14 +52,12 @@ TEST_F(CudaFrequency, FollowsItsTwinOnTheCpu) {
 }
 
 TEST_F(CudaFrequency, TheHighestBandIsAsAccurateAsTheLowestFarFromTheOrigin) {
-  const FrequencyParams params{40, false, Angular::radian, Arithmetic::float64};
-  expect_twins(EncoderTwins<Frequency>(frequency_kernels, params), random_doubles(3 * 1000, 5, -1048576, 1048576), {},
-               1.3e-7, 1e-6);
+  expect_twins(FrequencyCase{3, 40, false}.twins(), random_doubles(3 * 1000, 5, -1048576, 1048576), {}, 1.3e-7, 1e-6);
 }
 
 TEST_F(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
-  const EncoderTwins<Frequency> twins(frequency_kernels, FrequencyParams{});
-  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(twins.device, bad);
+  const EncoderTwins twins("frequency", {});
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(*twins.device, bad);
 }
 
 }  // namespace

@@ -18,9 +18,7 @@ using testing::NotedFault;
 
 template <class Real>
 HashGrid<Real> make(const HashGridParams& params, Device device) {
-  static const KernelTables tables = testing::tables_of({hash_grid_kernels, cuda::add_plugin_kernels});
-  EncoderBuild build{.device = device};
-  return HashGrid<Real>(params, build, tables);
+  return HashGrid<Real>(params, EncoderBuild{.device = device}, testing::all_kernels());
 }
 
 HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest,

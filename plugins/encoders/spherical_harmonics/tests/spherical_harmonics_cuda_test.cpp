@@ -1,5 +1,5 @@
 // The spherical harmonics on the device against their float64 twin on the CPU.
-#include "encoders/spherical_harmonics/spherical_harmonics.h"
+#include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
 #include "tests/cuda/encoder_bench.h"
 
 namespace semfield {
@@ -20,7 +20,7 @@ using CudaSphericalHarmonics = testing::DeviceTest;
 
 TEST_F(CudaSphericalHarmonics, FollowTheirTwinOnTheCpu) {
   for (int degree = 1; degree <= kHarmonicMaxDegree; ++degree) {
-    const EncoderTwins<SphericalHarmonics> twins(spherical_harmonics_kernels, SphericalHarmonicsParams{degree});
+    const EncoderTwins twins("spherical_harmonics", {{"degree", std::to_string(degree)}});
     // Polynomials of degree 4 with coefficients up to 105: a few units in the last place of their largest terms.
     expect_twins_of_any_size(
         twins, "degree " + std::to_string(degree), [](std::int64_t rows) { return random_directions(rows, 2); }, 2e-6,
@@ -29,11 +29,11 @@ TEST_F(CudaSphericalHarmonics, FollowTheirTwinOnTheCpu) {
 }
 
 TEST_F(CudaSphericalHarmonics, RowsThatAreNoUnitVectorsAreFaults) {
-  const EncoderTwins<SphericalHarmonics> twins(spherical_harmonics_kernels, SphericalHarmonicsParams{});
+  const EncoderTwins twins("spherical_harmonics", {});
   for (const double bad : {std::nan(""), HUGE_VAL, 0.0, 1.1}) {
     std::vector<double> x = random_directions(300, 1);
     for (const std::size_t row : {299, 128}) x[3 * row] = bad, x[3 * row + 1] = x[3 * row + 2] = 0;
-    expect_fault_of(twins.device, x, 128);
+    expect_fault_of(*twins.device, x, 128);
   }
 }
 

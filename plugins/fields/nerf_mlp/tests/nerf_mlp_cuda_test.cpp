@@ -13,18 +13,10 @@
 namespace semfield {
 namespace {
 
+using testing::all_kernels;
 using testing::DeviceField;
 using testing::near_norm;
 using namespace testkit;
-
-const KernelTables& cpu_tables() {
-  static const KernelTables tables = testing::tables_of({mlp_kernels});
-  return tables;
-}
-const KernelTables& device_tables() {
-  static const KernelTables tables = testing::tables_of({cuda::add_plugin_kernels});
-  return tables;
-}
 
 struct Network {
   NerfMlpParams params;
@@ -53,9 +45,9 @@ const NerfMlpParams kSmall{4, 12, 2, 9};
 /// A float64 network on the CPU with its inputs, and the same on the device.
 struct Pair {
   Pair(const Network& network, std::int64_t samples, std::int32_t padding = 0)
-      : cpu(network.params, network.build(Device::cpu), cpu_tables()),
+      : cpu(network.params, network.build(Device::cpu), all_kernels()),
         bench(cpu, network.build(Device::cpu), samples, 0, {}),
-        gpu(network.params, network.build(Device::cuda), device_tables()),
+        gpu(network.params, network.build(Device::cuda), all_kernels()),
         device(gpu, bench, padding),
         bf16(network.precision == Precision::bf16) {
     bench.derive();
@@ -147,7 +139,11 @@ using testing::DeviceMatrix;
 using testing::host_view;
 
 const KernelTables& layer_tables() {
-  static const KernelTables tables = testing::tables_of({cuda::add_mlp_kernels});
+  static const KernelTables tables = [] {
+    KernelTables layers;
+    cuda::add_mlp_kernels(layers);
+    return layers;
+  }();
   return tables;
 }
 
@@ -165,9 +161,9 @@ void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims
                std::to_string(params.skip_at) + ", position " + std::to_string(position_dims) + ", direction " +
                std::to_string(direction_dims) + ", wanted " + std::to_string(wanted.sigma) +
                std::to_string(wanted.rgb) + std::to_string(wanted.feature));
-  const NerfMlp<double> cpu(params, build_of(Device::cpu, position_dims, direction_dims), cpu_tables());
+  const NerfMlp<double> cpu(params, build_of(Device::cpu, position_dims, direction_dims), all_kernels());
   FieldBench<double> bench(cpu, build_of(Device::cpu, position_dims, direction_dims), samples, 0, {});
-  const NerfMlp<float> gpu(params, build_of(Device::cuda, position_dims, direction_dims), device_tables());
+  const NerfMlp<float> gpu(params, build_of(Device::cuda, position_dims, direction_dims), all_kernels());
   const DeviceField fused(gpu, bench, padding);
   fused.derive();
   fused.forward();
@@ -202,11 +198,11 @@ TEST(CudaNerfMlpFused, IsTheNetworkOfTheLayersOneByOne) {
 
 TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
   SEMFIELD_NEEDS_FUSED();
-  const NerfMlp<double> cpu({}, build_of(Device::cpu, 63, 27), cpu_tables());
+  const NerfMlp<double> cpu({}, build_of(Device::cpu, 63, 27), all_kernels());
   FieldBench<double> bench(cpu, build_of(Device::cpu, 63, 27), 1025, 0, {});
   bench.forward();
   bench.backward({}, false);
-  const NerfMlp<float> gpu({}, build_of(Device::cuda, 63, 27), device_tables());
+  const NerfMlp<float> gpu({}, build_of(Device::cuda, 63, 27), all_kernels());
   const DeviceField device(gpu, bench);
   device.derive();
   std::vector<float> first, sigma, rgb;

@@ -1,4 +1,4 @@
-// Kernel tables of the small network as its device tests need them, and the comparison of two devices' results.
+// The comparison of two devices' results.
 
 #include <cuda_bf16.h>
 
@@ -9,17 +9,6 @@
 #include "tests/cuda/device_fixture.h"
 
 namespace semfield::testing {
-
-namespace tiny {
-inline const KernelTables& cpu_tables() {
-  static const KernelTables tables = tables_of({mlp_kernels});
-  return tables;
-}
-inline const KernelTables& device_tables() {
-  static const KernelTables tables = tables_of({cuda::add_plugin_kernels});
-  return tables;
-}
-}  // namespace tiny
 
 inline std::string near_norm(const DeviceMatrix<float>& got, View<const float> want, double tolerance) {
   std::vector<double> values;
@@ -35,10 +24,9 @@ namespace {
 // The small network on the device, whole and asked for its feature alone: against the CPU's in float64 for every switch
 // and width, and in bf16; and what a device adds: unused rows, and the same bits in every run.
 
+using testing::all_kernels;
 using testing::DeviceField;
 using testing::DeviceMatrix;
-using testing::tiny::cpu_tables;
-using testing::tiny::device_tables;
 using namespace testkit;
 
 struct Network {
@@ -85,7 +73,7 @@ class OnDevice : private Held, public DeviceField {
 /// A float64 network on the CPU with its inputs.
 struct Oracle {
   Oracle(const Network& network, std::int64_t samples)
-      : field(network.params, network.build(Device::cpu), cpu_tables()),
+      : field(network.params, network.build(Device::cpu), all_kernels()),
         bench(field, network.build(Device::cpu), samples, 0, {}) {}
   TinyMlp<double> field;
   FieldBench<double> bench;
@@ -116,7 +104,7 @@ void expect_like_the_oracle(const Network& network, std::int64_t samples, std::i
   Oracle oracle(network, samples);
   oracle.bench.forward(network.outputs());
   oracle.bench.backward(gradients, with_d_position);
-  const OnDevice device(network, device_tables(), oracle.bench, padding);
+  const OnDevice device(network, all_kernels(), oracle.bench, padding);
   device.forward(network.outputs());
   device.backward(gradients, with_d_position);
   expect_oracle(device, oracle.bench, tolerances(network.precision), network.outputs(), with_d_position);
@@ -175,7 +163,7 @@ using CudaTinyMlpFused = testing::DeviceTest;
 TEST_F(CudaTinyMlpFused, RowsDoNotDependOnTheirBatch) {
   const Network network{{}, 32, 16, true, Precision::bf16};
   Oracle oracle(network, 333);
-  const OnDevice whole(network, device_tables(), oracle.bench, 0), split(network, device_tables(), oracle.bench, 0);
+  const OnDevice whole(network, all_kernels(), oracle.bench, 0), split(network, all_kernels(), oracle.bench, 0);
   whole.forward();
   whole.backward();
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 101}, {101, 232}}) {
@@ -197,7 +185,7 @@ TEST(CudaTinyMlpBits, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
   for (const Network& network : {Network{}, Network{{}, 32, 16, true, Precision::bf16}, branch(115, 128, 3)}) {
     SCOPED_TRACE(network.text());
     Oracle oracle(network, 50001);
-    const OnDevice once(network, device_tables(), oracle.bench, 0), twice(network, device_tables(), oracle.bench, 0);
+    const OnDevice once(network, all_kernels(), oracle.bench, 0), twice(network, all_kernels(), oracle.bench, 0);
     for (const OnDevice* device : {&once, &twice}) {
       device->forward(network.outputs());
       device->backward(network.outputs());
@@ -220,7 +208,7 @@ TEST_F(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
     for (const std::int64_t live : {0, 1, 64, 200, 333}) {
       SCOPED_TRACE(network.text() + ", live " + std::to_string(live));
       Oracle oracle(network, 333);
-      OnDevice some(network, device_tables(), oracle.bench, 0), all(network, device_tables(), oracle.bench, 0);
+      OnDevice some(network, all_kernels(), oracle.bench, 0), all(network, all_kernels(), oracle.bench, 0);
       const DeviceMatrix<std::int32_t> count(std::vector<std::int32_t>{static_cast<std::int32_t>(live)}, 1);
       some.launch.set_live_rows(count.data());
       some.forward(network.outputs());
@@ -266,12 +254,12 @@ TEST_F(CudaTinyMlpFused, AgreesWithTheCpuInBf16) {
     // does not round directions.
     const double weight = network.feature_only ? 0.05 : 0.1, bias = network.feature_only ? 0.05 : 0.15;
     Oracle oracle(network, 4097);
-    const OnDevice fused(network, device_tables(), oracle.bench, 0);
+    const OnDevice fused(network, all_kernels(), oracle.bench, 0);
     fused.forward(network.outputs());
     fused.backward(network.outputs());
     FieldBuild rounded = network.build(Device::cpu);
     rounded.precision = Precision::bf16;
-    const TinyMlp<float> cpu(network.params, rounded, cpu_tables());
+    const TinyMlp<float> cpu(network.params, rounded, all_kernels());
     FieldBench<float> bench(cpu, rounded, 4097, 0, {});
     bench.forward(network.outputs());
     bench.backward(network.outputs());
@@ -295,7 +283,7 @@ TEST_F(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   constexpr std::int64_t kRows = 333, kSemanticRows = 250;
   const Network network{{}, 32, 16, true, Precision::bf16};
   Oracle oracle(network, kRows);
-  const OnDevice plain(network, device_tables(), oracle.bench, 0), sharing(network, device_tables(), oracle.bench, 0);
+  const OnDevice plain(network, all_kernels(), oracle.bench, 0), sharing(network, all_kernels(), oracle.bench, 0);
   const std::int32_t width = plain.feature->view().cols;
   std::vector<float> weights = plain.w_feature->read();
   for (std::size_t i = 0; i < weights.size(); ++i) {
@@ -346,7 +334,7 @@ TEST_F(CudaTinyMlpFeature, IsTheCpuNetworkForEveryWidthDepthAndSize) {
 TEST_F(CudaTinyMlpFeature, GivesTheSameWithoutASavedBatchAndWithoutAGradientNothing) {
   const Network network = branch(112, 64, 2);
   Oracle oracle(network, 333);
-  const OnDevice saved(network, device_tables(), oracle.bench, 0), unsaved(network, device_tables(), oracle.bench, 0);
+  const OnDevice saved(network, all_kernels(), oracle.bench, 0), unsaved(network, all_kernels(), oracle.bench, 0);
   saved.forward(network.outputs());
   unsaved.forward(network.outputs(), false);
   EXPECT_EQ(saved.feature->read(), unsaved.feature->read());

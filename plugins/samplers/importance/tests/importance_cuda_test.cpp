@@ -2,7 +2,6 @@
 // with float64 in the same order, without fused operations.
 
 #include "core/error.h"
-#include "samplers/importance/importance.h"
 #include "tests/cuda/sampler_bench.h"
 
 namespace semfield {
@@ -10,7 +9,7 @@ namespace {
 
 using namespace testing;
 
-constexpr Quadrature kRules[] = {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin};
+const std::string kRules[] = {"paper", "midpoint", "stratified_bin"};
 
 using CudaImportance = testing::DeviceTest;
 
@@ -20,16 +19,14 @@ TEST_F(CudaImportance, SamplesAreThoseOfTheCpu) {
       for (const std::int64_t samples : {1, 32, 128, 129}) {
         const HostRays given = random_rays(rays, 6, per_ray == 33 ? 4 : 0);
         HostProposal previous = previous_of(given, per_ray, per_ray != 64);
-        for (const Quadrature rule : kRules) {
-          ImportanceParams params;
-          params.samples = samples;
-          params.quadrature = rule;
-          params.keep_previous = (samples + static_cast<int>(rule)) % 2 == 0;
-          const Twins<Importance> twins(params);
-          EXPECT_EQ(compare(twins.cpu, twins.device, context_at(7, rule != Quadrature::midpoint), given, &previous,
-                            rays % 2 * 2),
+        for (const std::string& rule : kRules) {
+          const bool keep = (samples + (&rule - kRules)) % 2 == 0;
+          const Twins twins(
+              "importance",
+              {{"samples", std::to_string(samples)}, {"quadrature", rule}, {"keep_previous", keep ? "true" : "false"}});
+          EXPECT_EQ(compare(twins.cpu, twins.device, context_at(7, rule != "midpoint"), given, &previous, rays % 2 * 2),
                     "")
-              << rays << " rays, " << per_ray << " before, " << samples << " samples, rule " << static_cast<int>(rule);
+              << rays << " rays, " << per_ray << " before, " << samples << " samples, rule " << rule;
         }
       }
     }
@@ -37,12 +34,11 @@ TEST_F(CudaImportance, SamplesAreThoseOfTheCpu) {
 }
 
 TEST_F(CudaImportance, RaysThatDoNotFitSharedMemory) {
-  for (const bool keep : {false, true}) {
-    for (const std::int64_t samples : {40, 3000}) {
+  for (const std::string keep : {"false", "true"}) {
+    for (const std::string samples : {"40", "3000"}) {
       const HostRays rays = random_rays(37, 8, 6);
       HostProposal previous = previous_of(rays, 1500, true);
-      ImportanceParams params{.samples = samples, .keep_previous = keep};
-      const Twins<Importance> twins(params);
+      const Twins twins("importance", {{"samples", samples}, {"keep_previous", keep}});
       EXPECT_EQ(compare(twins.cpu, twins.device, context_at(2, true), rays, &previous, 0), "") << keep << samples;
     }
   }
@@ -55,8 +51,7 @@ TEST_F(CudaImportance, EqualDistancesAndLimitsInsideThePreviousSamples) {
     if (i % 20 > 0 && i % 20 < 6) previous.samples.t[i] = previous.samples.t[i - 1];
   }
   for (std::size_t r = 0; r < 20; ++r) rays.near_far[2 * r] += 0.3 * (rays.near_far[2 * r + 1] - rays.near_far[2 * r]);
-  ImportanceParams params{.samples = 50};
-  const Twins<Importance> twins(params);
+  const Twins twins("importance", {{"samples", "50"}});
   EXPECT_EQ(compare(twins.cpu, twins.device, context_at(2, true), rays, &previous, 0), "");
 }
 
@@ -64,7 +59,7 @@ TEST(CudaSamplers, ACapturedGraphFollowsTheStepInTheCell) {
   SEMFIELD_NEEDS_DEVICE();
   const HostRays rays = random_rays(100, 12, 9);
   HostProposal previous = previous_of(rays, 64, false);
-  const Twins<Importance> twins(ImportanceParams{});
+  const Twins twins("importance", {});
   DeviceLaunch launch;
   DeviceBatch batch(twins.device, rays, &previous, 0);
   const StepContext ctx = device_context(context_at(0, true), launch);
@@ -87,7 +82,7 @@ TEST(CudaSamplers, ACapturedGraphFollowsTheStepInTheCell) {
 }
 
 TEST_F(CudaImportance, ABadWeightIsAFault) {
-  const Twins<Importance> twins(ImportanceParams{});
+  const Twins twins("importance", {});
   for (const float bad : {std::nanf(""), -1.F, std::numeric_limits<float>::infinity()}) {
     const HostRays rays = random_rays(30, 1, 0);
     HostProposal previous = previous_of(rays, 64, false);
@@ -106,7 +101,7 @@ TEST_F(CudaImportance, ABadWeightIsAFault) {
 }
 
 TEST_F(CudaImportance, MoreSamplesThanTheBatchMayHaveAreAFault) {
-  const Twins<Importance> twins(ImportanceParams{});
+  const Twins twins("importance", {});
   const HostRays rays = random_rays(4, 1, 0);
   HostProposal previous = previous_of(rays, 8, false);
   previous.samples.first = {0, 9, 16, 24, 32};

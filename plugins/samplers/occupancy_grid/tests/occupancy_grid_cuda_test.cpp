@@ -10,7 +10,12 @@ namespace semfield {
 namespace {
 
 using namespace testing;
-using Grids = Twins<OccupancyGrid>;
+
+struct Grids {
+  explicit Grids(const OccupancyGridParams& params)
+      : cpu(params, room_on(Device::cpu), all_kernels()), device(params, room_on(Device::cuda), all_kernels()) {}
+  OccupancyGrid<float> cpu, device;
+};
 
 constexpr double kMeanTolerance = 1e-6;
 

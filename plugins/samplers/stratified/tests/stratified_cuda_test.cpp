@@ -2,7 +2,6 @@
 // with float64 in the same order, without fused operations.
 
 #include "core/error.h"
-#include "samplers/stratified/stratified.h"
 #include "tests/cuda/sampler_bench.h"
 
 namespace semfield {
@@ -10,12 +9,11 @@ namespace {
 
 using namespace testing;
 
-constexpr std::pair<Quadrature, SampleSpacing> kRulesAndSpacings[] = {
-    {Quadrature::paper, SampleSpacing::linear},
-    {Quadrature::midpoint, SampleSpacing::linear},
-    {Quadrature::stratified_bin, SampleSpacing::linear},
-    {Quadrature::paper, SampleSpacing::disparity},
-    {Quadrature::stratified_bin, SampleSpacing::disparity}};
+constexpr std::pair<const char*, const char*> kRulesAndSpacings[] = {{"paper", "linear"},
+                                                                     {"midpoint", "linear"},
+                                                                     {"stratified_bin", "linear"},
+                                                                     {"paper", "disparity"},
+                                                                     {"stratified_bin", "disparity"}};
 
 using CudaStratified = testing::DeviceTest;
 
@@ -23,13 +21,14 @@ TEST_F(CudaStratified, SamplesAreThoseOfTheCpu) {
   for (const std::int64_t rays : {1, 31, 33, 1025}) {
     for (const std::int64_t samples : {1, 31, 32, 64, 100}) {
       for (const auto& [rule, spacing] : kRulesAndSpacings) {
-        const Twins<Stratified> twins(StratifiedParams{samples, rule, spacing});
+        const Twins twins("stratified",
+                          {{"samples", std::to_string(samples)}, {"quadrature", rule}, {"spacing", spacing}});
         for (const bool training : {false, true}) {
           const std::int64_t empty_every = (rays + samples) % 3;  // none, all, every other
           EXPECT_EQ(compare(twins.cpu, twins.device, context_at(samples, training), random_rays(rays, 1, empty_every),
                             nullptr, rays % 2),
                     "")
-              << rays << " rays, " << samples << " samples, rule " << static_cast<int>(rule) << ", " << training;
+              << rays << " rays, " << samples << " samples, rule " << rule << ", " << training;
         }
       }
     }
@@ -38,13 +37,13 @@ TEST_F(CudaStratified, SamplesAreThoseOfTheCpu) {
 
 TEST_F(CudaStratified, ManyRaysAreCountedOverManyBlocks) {
   for (const std::int64_t rays : {1023, 1024, 4097, 65537}) {
-    const Twins<Stratified> twins(StratifiedParams{3, Quadrature::paper});
+    const Twins twins("stratified", {{"samples", "3"}});
     EXPECT_EQ(compare(twins.cpu, twins.device, context_at(9, true), random_rays(rays, 2, 7), nullptr, 0), "") << rays;
   }
 }
 
 TEST_F(CudaStratified, NoRaysNoLaunch) {
-  const Twins<Stratified> twins(StratifiedParams{});
+  const Twins twins("stratified", {});
   const HostRays none;
   DeviceLaunch launch(true);
   DeviceBatch batch(twins.device, none, nullptr, 0);
@@ -54,7 +53,7 @@ TEST_F(CudaStratified, NoRaysNoLaunch) {
 
 TEST(CudaSamplers, LimitsThatAreNotFiniteAreAFault) {
   SEMFIELD_NEEDS_DEVICE();
-  const Twins<Stratified> twins(StratifiedParams{});
+  const Twins twins("stratified", {});
   for (const double bad : {std::numeric_limits<double>::infinity(), std::nan("")}) {
     HostRays rays = random_rays(1500, 1, 0);
     rays.near_far[2 * 1100 + 1] = bad;
