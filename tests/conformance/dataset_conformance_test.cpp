@@ -12,6 +12,7 @@
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/rows.h"
+#include "tests/conformance/sample_files.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
 
@@ -122,9 +123,10 @@ TEST_F(FolderScenes, PhotographsWithoutPosesGetTheCommandThatFindsThem) {
 
 TEST_F(FolderScenes, WhatIsNoSceneIsRefused) {
   const std::string folder = fresh_folder("empty");
-  EXPECT_EQ(error_of([&] {
-              find(folder);
-            }).find("'" + folder + "' holds no scene that a dataset knows: arkit_scenes, colmap, llff, obj_room, packed, polycam, record3d, replica, "),
+  EXPECT_EQ(error_of([&] { find(folder); })
+                .find("'" + folder +
+                      "' holds no scene that a dataset knows: arkit_scenes, colmap, llff, obj_room, packed, polycam, "
+                      "record3d, replica, "),
             0u);
   EXPECT_EQ(error_of([&] { find(folder + "/none"); }), "no folder '" + folder + "/none'; check the path");
   write_file_atomic(folder + "/run.yaml", "name: x\n");
@@ -134,38 +136,24 @@ TEST_F(FolderScenes, WhatIsNoSceneIsRefused) {
 
 // Files whose poses or depth keep another convention than their dataset expects: named, with keys that mend them.
 
-using Matrix = std::vector<double>;  // 16 numbers, row by row
-using Break = std::function<Matrix(const Matrix&)>;
+using Break = std::function<Pose(const Pose&)>;
 
-Matrix product(const Matrix& a, const Matrix& b) {
-  Matrix out(16);
-  for (std::size_t i = 0; i < 16; ++i) {
-    for (std::size_t k = 0; k < 4; ++k) out[i] += a[i / 4 * 4 + k] * b[k * 4 + i % 4];
-  }
+Pose inverted(const Pose& pose) {
+  Pose out;
+  for (std::size_t i = 0; i < 9; ++i) out.r[i / 3][i % 3] = pose.r[i % 3][i / 3];
+  out.t = out.rotate(pose.t) * -1.0;
   return out;
 }
-const Matrix kFlip{1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1};
-Matrix flipped(const Matrix& m) { return product(m, kFlip); }
-Matrix inverted(const Matrix& m) {
-  Matrix out{m[0], m[4], m[8], 0, m[1], m[5], m[9], 0, m[2], m[6], m[10], 0, 0, 0, 0, 1};
-  for (std::size_t r = 0; r < 3; ++r) out[4 * r + 3] = -(m[r] * m[3] + m[4 + r] * m[7] + m[8 + r] * m[11]);
-  return out;
-}
-Matrix scaled(Matrix m, double by) {
-  for (const std::size_t i : {3u, 7u, 11u}) m[i] *= by;
-  return m;
+Pose scaled(Pose pose, double by) {
+  pose.t = pose.t * by;
+  return pose;
 }
 
-Matrix numbers_of(std::istream& in) {
-  Matrix out(16);
-  for (double& v : out) in >> v;
-  return out;
-}
-std::string text_of(const Matrix& m, const char* after = "\n") {
-  std::ostringstream out;
-  out.precision(17);
-  for (std::size_t i = 0; i < 16; ++i) out << m[i] << (i % 4 == 3 ? after : " ");
-  return out.str();
+// The rows of a pose in a text, changed.
+std::string broken(const std::string& rows, const Break& how, const char* end) {
+  std::vector<double> numbers;
+  parse_numbers(rows, numbers);
+  return pose_rows(how(pose_from_rows(numbers)), end);
 }
 
 // Rewrites every pose of a sample's files.
@@ -173,25 +161,19 @@ void break_poses(const std::string& dataset, const fs::path& root, const Break& 
   if (dataset == "replica") {
     std::istringstream in(read_text_file((root / "traj_w_c.txt").string()));
     std::string out;
-    for (std::string line; std::getline(in, line);) {
-      std::istringstream row(line);
-      out += text_of(how(numbers_of(row)), " ") + "\n";
-    }
+    for (std::string line; std::getline(in, line);) out += broken(line, how, " ") + "\n";
     write_file_atomic((root / "traj_w_c.txt").string(), out);
   } else if (dataset == "scannet") {
-    for (const auto& entry : fs::directory_iterator(root / "pose")) {
-      std::istringstream in(read_text_file(entry.path().string()));
-      write_file_atomic(entry.path().string(), text_of(how(numbers_of(in))));
-    }
+    for (const auto& entry : fs::directory_iterator(root / "pose"))
+      write_file_atomic(entry.path().string(), broken(read_text_file(entry.path().string()), how, "\n"));
   } else {
     nlohmann::json index = nlohmann::json::parse(read_text_file((root / "transforms.json").string()));
     for (nlohmann::json& frame : index["frames"]) {
-      Matrix m;
-      for (const nlohmann::json& row : frame["transform_matrix"]) {
-        for (const double v : row) m.push_back(v);
-      }
-      m = how(m);
-      for (std::size_t i = 0; i < 16; ++i) frame["transform_matrix"][i / 4][i % 4] = m[i];
+      std::vector<double> numbers;
+      for (const nlohmann::json& row : frame["transform_matrix"]) numbers.insert(numbers.end(), row.begin(), row.end());
+      const Pose pose = how(pose_from_rows(numbers));
+      for (std::size_t r = 0; r < 3; ++r)
+        frame["transform_matrix"][r] = {pose.r[r][0], pose.r[r][1], pose.r[r][2], pose.t[static_cast<int>(r)]};
     }
     write_file_atomic((root / "transforms.json").string(), index.dump());
   }
@@ -254,20 +236,20 @@ struct Case {
 
 const std::vector<Case>& cases() {
   static const std::vector<Case> all{
-      {"axes", flipped, {.flip_camera_axes = true}, {"OpenGL axes"}},
+      {"axes", opencv_from_opengl, {.flip_camera_axes = true}, {"OpenGL axes"}},
       {"inverse", inverted, {.invert_poses = true}, {"world-to-camera"}},
       {"inverse_of_other_axes",
-       [](const Matrix& m) { return inverted(flipped(m)); },
+       [](const Pose& m) { return inverted(opencv_from_opengl(m)); },
        {.flip_camera_axes = true, .invert_poses = true},
        {"OpenGL axes", "world-to-camera"}},
-      {"millimetres", [](const Matrix& m) { return scaled(m, 1000); }, {.pose_scale = 0.001}, {"millimetres"}},
-      {"kilometres", [](const Matrix& m) { return scaled(m, 0.001); }, {.pose_scale = 1000}, {"1000 times too small"}},
+      {"millimetres", [](const Pose& m) { return scaled(m, 1000); }, {.pose_scale = 0.001}, {"millimetres"}},
+      {"kilometres", [](const Pose& m) { return scaled(m, 0.001); }, {.pose_scale = 1000}, {"1000 times too small"}},
       {"inverse_in_millimetres",
-       [](const Matrix& m) { return scaled(inverted(m), 1000); },
+       [](const Pose& m) { return scaled(inverted(m), 1000); },
        {.invert_poses = true, .pose_scale = 0.001},
        {"world-to-camera", "millimetres"}},
       {"axes_in_millimetres",
-       [](const Matrix& m) { return scaled(flipped(m), 1000); },
+       [](const Pose& m) { return scaled(opencv_from_opengl(m), 1000); },
        {.flip_camera_axes = true, .pose_scale = 0.001},
        {"OpenGL axes", "millimetres"}},
   };
