@@ -41,6 +41,15 @@ struct Points {
   std::vector<std::int32_t> segment;
 };
 
+// Numbers of rows, by their name in failures, and their gradient.
+template <class Rows, class Real>
+struct Gradient {
+  std::string_view name;
+  std::vector<Real> Rows::*value;
+  std::vector<Real> Rows::*gradient;
+};
+std::string about(std::string_view name) { return "gradient of " + std::string(name); }
+
 template <class Real>
 View<const Real> column(const std::vector<Real>& v) {
   return {v.data(), std::ssize(v), 1};
@@ -53,9 +62,29 @@ class Notes {
   void require(bool holds, const std::string& law, const std::string& sentence) {
     if (!holds) note(law, sentence);
   }
-  void require_same_loss(double got, double want) {
+  // What a grouping or a loss adds to rows of either precision; a gradient has a name and is a member of the rows.
+  template <class Narrow, class Wide, class Subject, class NarrowGradients, class WideGradients>
+  void float_against_double(Narrow narrow, Wide wide, const Subject& subject, const NarrowGradients& narrow_gradients,
+                            const WideGradients& wide_gradients) {
+    const double got = narrow.add(subject, kScale), want = wide.add(subject, kScale);
     require(std::abs(got - want) <= options_.float_tolerance * std::abs(want), "float against double, loss",
             std::to_string(got) + ", not " + std::to_string(want));
+    for (std::size_t i = 0; i < narrow_gradients.size(); ++i)
+      note("float against double, " + about(narrow_gradients[i].name),
+           compare(column(narrow.*narrow_gradients[i].gradient), column(wide.*wide_gradients[i].gradient),
+                   options_.float_tolerance));
+  }
+  template <class Rows, class Subject, class Gradients>
+  void accumulate(Rows once, const Subject& subject, const Gradients& gradients) {
+    Rows thrice = once;
+    const double sum = once.add(subject, 1);
+    require(thrice.add(subject, 1) == sum && thrice.add(subject, 2) == sum, "the loss is before its scale",
+            "it is another for another scale, or another time");
+    for (const auto& one : gradients) {
+      for (double& d : once.*one.gradient) d *= 3;
+      note("gradients accumulate, " + std::string(one.name),
+           compare(column(thrice.*one.gradient), column(once.*one.gradient), 1e-12));
+    }
   }
   void require_finite(const std::vector<float>& values, const std::string& law, const std::string& sentence) {
     require(std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }), law, sentence);
@@ -80,8 +109,8 @@ class GroupingLaws : Notes {
     };
     note("gradients",
          check_gradient(value, at.view(at.rows), moved.view(moved.gradient), {1e-6, 1e-6, 200, options_.seed}));
-    float_against_double();
-    accumulate();
+    float_against_double(points<float>(97), points<double>(97), grouping_, gradients<float>(), gradients<double>());
+    accumulate(points<double>(31), grouping_, gradients<double>());
     numbers_of_segments();
     nothing();
     extremes();
@@ -95,21 +124,9 @@ class GroupingLaws : Notes {
     return Points<Real>(count, grouping_.width(), options_.seed);
   }
 
-  void float_against_double() {
-    Points<float> narrow = points<float>(97);
-    Points<double> wide = points<double>(97);
-    require_same_loss(narrow.add(grouping_, kScale), wide.add(grouping_, kScale));
-    note("float against double, gradients",
-         compare(column(narrow.gradient), column(wide.gradient), options_.float_tolerance));
-  }
-
-  void accumulate() {
-    Points<double> once = points<double>(31), thrice = once;
-    const double sum = once.add(grouping_, 1);
-    require(thrice.add(grouping_, 1) == sum && thrice.add(grouping_, 2) == sum, "the loss is before its scale",
-            "it is another for another scale, or another time");
-    for (double& d : once.gradient) d *= 3;
-    note("gradients accumulate", compare(column(thrice.gradient), column(once.gradient), 1e-12));
+  template <class Real>
+  static std::vector<Gradient<Points<Real>, Real>> gradients() {
+    return {{"rows", &Points<Real>::rows, &Points<Real>::gradient}};
   }
 
   // What a segment is called means nothing.
@@ -163,25 +180,16 @@ Failures grouping_laws(const Registry& registry, const std::string& name, const 
 namespace {
 
 template <class Real>
-struct Gradient {
-  std::string_view channel;
-  std::vector<Real> LossRays<Real>::*value;
-  std::vector<Real> LossRays<Real>::*gradient;
-};
-
-template <class Real>
-std::vector<Gradient<Real>> every_gradient(const std::string& head) {
+std::vector<Gradient<LossRays<Real>, Real>> every_gradient(const std::string& head) {
   using Rays = LossRays<Real>;
-  std::vector<Gradient<Real>> all{{channel::color, &Rays::color, &Rays::d_color},
-                                  {channel::depth, &Rays::depth, &Rays::d_depth},
-                                  {channel::weight, &Rays::weight, &Rays::d_weight},
-                                  {channel::sigma, &Rays::sigma, &Rays::d_sigma},
-                                  {channel::logits, &Rays::logits, &Rays::d_logits}};
+  std::vector<Gradient<Rays, Real>> all{{channel::color, &Rays::color, &Rays::d_color},
+                                        {channel::depth, &Rays::depth, &Rays::d_depth},
+                                        {channel::weight, &Rays::weight, &Rays::d_weight},
+                                        {channel::sigma, &Rays::sigma, &Rays::d_sigma},
+                                        {channel::logits, &Rays::logits, &Rays::d_logits}};
   if (!head.empty()) all.push_back({head, &Rays::made, &Rays::d_made});
   return all;
 }
-
-std::string about(std::string_view channel) { return "gradient of " + std::string(channel); }
 
 class LossLaws : Notes {
  public:
@@ -196,8 +204,8 @@ class LossLaws : Notes {
     declared();
     central_differences();
     moves();
-    float_against_double();
-    accumulate();
+    float_against_double(rays<float>(lengths_), rays<double>(lengths_), loss_, gradients<float>(), gradients<double>());
+    accumulate(rays<double>(lengths_), loss_, gradients<double>());
     rays_alone();
     nothing();
     without_targets();
@@ -212,7 +220,7 @@ class LossLaws : Notes {
     return LossRays<Real>(counts, options_.seed, soft_, further_);
   }
   template <class Real>
-  std::vector<Gradient<Real>> gradients() const {
+  std::vector<Gradient<LossRays<Real>, Real>> gradients() const {
     return every_gradient<Real>(further_.head);
   }
 
@@ -237,44 +245,19 @@ class LossLaws : Notes {
       return kScale * copy.add(loss_, 0);
     };
     const GradientCheck check{1e-6, 1e-6, 16 * options_.gradient_elements, options_.seed};
-    for (const Gradient<double>& one : gradients<double>())
-      note(about(one.channel),
+    for (const auto& one : gradients<double>())
+      note(about(one.name),
            check_gradient(value, LossRays<double>::mat(at.*one.value, 1), column(moved.*one.gradient), check));
   }
 
   void moves() {
     LossRays<double> all = rays<double>(lengths_);
     require(all.add(loss_, kScale) > 0, "traits", "random rays cost nothing");
-    for (const Gradient<double>& one : gradients<double>()) {
+    for (const auto& one : gradients<double>()) {
       const std::vector<double>& gradient = all.*one.gradient;
       const bool any = std::any_of(gradient.begin(), gradient.end(), [](double d) { return d != 0; });
-      require(any == traits_.does_move(one.channel), "traits",
-              std::string(any ? "moves " : "does not move ") + std::string(one.channel) + ", and says otherwise");
-    }
-  }
-
-  void float_against_double() {
-    LossRays<float> narrow = rays<float>(lengths_);
-    LossRays<double> wide = rays<double>(lengths_);
-    require_same_loss(narrow.add(loss_, kScale), wide.add(loss_, kScale));
-    for (std::size_t i = 0; i < gradients<float>().size(); ++i) {
-      const Gradient<float> one = gradients<float>()[i];
-      note("float against double, " + about(one.channel),
-           compare(column(narrow.*one.gradient), column(wide.*gradients<double>()[i].gradient),
-                   options_.float_tolerance));
-    }
-  }
-
-  void accumulate() {
-    LossRays<double> once = rays<double>(lengths_), thrice = once;
-    const double sum = once.add(loss_, 1);
-    require(thrice.add(loss_, 1) == sum && thrice.add(loss_, 2) == sum, "the loss is before its scale",
-            "it is another for another scale, or another time");
-    for (const Gradient<double>& one : gradients<double>()) {
-      std::vector<double> wanted = once.*one.gradient;
-      for (double& d : wanted) d *= 3;
-      note("gradients accumulate, " + std::string(one.channel),
-           compare(column(thrice.*one.gradient), column(wanted), 1e-12));
+      require(any == traits_.does_move(one.name), "traits",
+              std::string(any ? "moves " : "does not move ") + std::string(one.name) + ", and says otherwise");
     }
   }
 
@@ -288,8 +271,8 @@ class LossLaws : Notes {
     }
     require(std::abs(of_parts - sum) <= 1e-6 * std::abs(sum), "rays are independent, loss",
             std::to_string(of_parts) + ", not " + std::to_string(sum));
-    for (const Gradient<float>& one : gradients<float>())
-      note("rays are independent, " + about(one.channel),
+    for (const auto& one : gradients<float>())
+      note("rays are independent, " + about(one.name),
            compare_bits(column(parts.*one.gradient), column(whole.*one.gradient)));
   }
 
@@ -344,8 +327,8 @@ class LossLaws : Notes {
     for (std::size_t i = 0; i < three.logits.size(); ++i) three.logits[i] = i % 2 == 0 ? 1e4F : -1e4F;
     for (std::size_t i = 0; i < three.made.size(); ++i) three.made[i] = i < three.made.size() / 2 ? 0 : 1e18F;
     require(std::isfinite(three.add(loss_, kScale)), "extremes", "the loss is not finite");
-    for (const Gradient<float>& one : gradients<float>())
-      require_finite(three.*one.gradient, "extremes", about(one.channel) + " is not finite");
+    for (const auto& one : gradients<float>())
+      require_finite(three.*one.gradient, "extremes", about(one.name) + " is not finite");
   }
 
   const Loss& loss_;

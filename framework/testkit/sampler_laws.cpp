@@ -3,8 +3,8 @@
 #include <cmath>
 
 #include "core/rng.h"
-#include "testkit/compare.h"
 #include "testkit/benches.h"
+#include "testkit/compare.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {
@@ -86,31 +86,22 @@ struct EarlierPass {
 
 // One sampler with tensors; run() samples rays [begin, begin + rays) of a batch as they stand in the whole.
 template <class Real>
-struct SamplerBench {
-  SamplerBench(const Sampler<Real>& sampler_in, const LawOptions& options)
-      : sampler(sampler_in),
-        workspace(scratch_of<Real>(options)),
-        box(sampler_in, options.seed, 0.0),
-        seed(options.seed) {
-    ctx.seed = options.seed;
-    ctx.training = true;
-    ctx.workspace = &workspace;
-    sampler.derive(ctx, box.tensors());
+struct SamplerBench : ComponentBench<Real, Sampler> {
+  SamplerBench(const Sampler<Real>& sampler, const LawOptions& options)
+      : ComponentBench<Real, Sampler>(sampler, options, 0.0), seed(options.seed) {
+    this->derive();
   }
   SampleBuffer<Real> run(const RayBatch& batch, std::int64_t begin, std::int64_t rays) {
+    const Sampler<Real>& sampler = this->component;
     const bool needs_previous = sampler.traits().needs_previous;
     EarlierPass<Real> earlier(batch, begin, rays, seed);
     const std::int64_t room = sampler.capacity(rays, needs_previous ? kProposalSamples : 0);
     SampleBuffer<Real> out(room, rays);
-    ctx.first_ray = begin;
-    sampler.sample(ctx, box.values_only(), batch.view<Real>(begin, rays), needs_previous ? &earlier.proposal : nullptr,
-                   out.samples);
+    this->ctx.first_ray = begin;
+    sampler.sample(this->ctx, this->box.values_only(), batch.view<Real>(begin, rays),
+                   needs_previous ? &earlier.proposal : nullptr, out.samples);
     return out;
   }
-  const Sampler<Real>& sampler;
-  Workspace workspace;
-  StepContext ctx;
-  TensorBox<Real> box;
   std::uint64_t seed;
 };
 

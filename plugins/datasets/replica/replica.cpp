@@ -291,12 +291,9 @@ class Replica final : public Dataset {
     const std::string text = read_pose_file(path);
     std::vector<Row> out;
     std::vector<std::string> skipped;
-    std::size_t at = 0;
+    std::string_view rest = text, row;
     rows = 0;
-    for (int line = 1; at < text.size(); ++line) {
-      const std::size_t end = std::min(text.find('\n', at), text.size());
-      const std::string row = text.substr(at, end - at);
-      at = end + 1;
+    for (int line = 1; next_line(rest, row); ++line) {
       std::vector<double> numbers;
       const std::string_view bad = parse_numbers(row, numbers);
       if (numbers.empty() && bad.empty()) continue;
