@@ -507,6 +507,7 @@ TEST(CudaGuard, NamesTheFirstRowThatIsNotFinite) {
 
 // Corrections of training cameras on the device against the CPU's.
 
+using testing::host_view;
 using testing::random_floats;
 
 constexpr std::int64_t kRays = 1000, kCameras = 37;
@@ -524,11 +525,6 @@ std::vector<double> doubles(std::int64_t count, std::uint64_t seed) {
 }
 
 template <class T>
-View<T> host(std::vector<T>& values, std::int32_t cols) {
-  return {values.data(), static_cast<std::int64_t>(values.size()) / cols, cols};
-}
-
-template <class T>
 void expect_close(const std::vector<T>& got, const std::vector<T>& want, double tolerance) {
   ASSERT_EQ(got.size(), want.size());
   for (std::size_t i = 0; i < want.size(); ++i)
@@ -543,7 +539,7 @@ TEST(CudaCameras, MoveRaysAndGiveGradientsAsTheCpuDoes) {
   const DeviceMatrix<float> d_camera(camera, 1), d_pose(pose, kPoseNumbers);
   const DeviceMatrix<double> d_origin(origin, 3, 4), d_direction(direction, 3, 5);
   gpu.move(d_camera.read_only(), d_pose.read_only(), 2.5, d_origin.view(), d_direction.view());
-  cpu.move(host(camera, 1), host(pose, kPoseNumbers), 2.5, host(origin, 3), host(direction, 3));
+  cpu.move(host_view(camera, 1), host_view(pose, kPoseNumbers), 2.5, host_view(origin, 3), host_view(direction, 3));
   expect_close(d_origin.read(), origin, 1e-12);
   expect_close(d_direction.read(), direction, 1e-12);
 
@@ -551,8 +547,8 @@ TEST(CudaCameras, MoveRaysAndGiveGradientsAsTheCpuDoes) {
   const DeviceMatrix<float> there(d_ray, 6), sums(gradient, kPoseNumbers);
   gpu.move_backward(d_camera.read_only(), d_pose.read_only(), 2.5, d_direction.read_only(), there.read_only(),
                     sums.view());
-  cpu.move_backward(host(camera, 1), host(pose, kPoseNumbers), 2.5, host(direction, 3), host(d_ray, 6),
-                    host(gradient, kPoseNumbers));
+  cpu.move_backward(host_view(camera, 1), host_view(pose, kPoseNumbers), 2.5, host_view(direction, 3),
+                    host_view(d_ray, 6), host_view(gradient, kPoseNumbers));
   expect_close(sums.read(), gradient, 1e-4);
   EXPECT_EQ(d_origin.surroundings() + d_direction.surroundings() + sums.surroundings(), "");
 }
@@ -568,9 +564,9 @@ TEST(CudaCameras, ChangeColoursAndGiveGradientsAsTheCpuDoes) {
   gpu.show(t_camera.read_only(), t_map.read_only(), t_color.read_only(), t_shown.view());
   gpu.show_backward(t_camera.read_only(), t_map.read_only(), t_color.read_only(), t_d_shown.read_only(),
                     t_d_color.view(), t_d_map.view());
-  cpu.show(host(camera, 1), host(map, kColorNumbers), host(color, 3), host(shown, 3));
-  cpu.show_backward(host(camera, 1), host(map, kColorNumbers), host(color, 3), host(d_shown, 3), host(d_color, 3),
-                    host(d_map, kColorNumbers));
+  cpu.show(host_view(camera, 1), host_view(map, kColorNumbers), host_view(color, 3), host_view(shown, 3));
+  cpu.show_backward(host_view(camera, 1), host_view(map, kColorNumbers), host_view(color, 3), host_view(d_shown, 3),
+                    host_view(d_color, 3), host_view(d_map, kColorNumbers));
   expect_close(t_shown.read(), shown, 1e-6);
   expect_close(t_d_color.read(), d_color, 1e-6);
   expect_close(t_d_map.read(), d_map, 1e-4);
@@ -586,8 +582,8 @@ TEST(CudaCameras, KeepTheMeanAsTheCpuDoes) {
     const DeviceMatrix<float> t_from(from, kPoseNumbers), t_to(rows, kPoseNumbers), t_sum(sum, kPoseNumbers);
     gpu.centre(t_from.read_only(), share, t_to.view(), false);
     gpu.centre(t_from.read_only(), share, t_sum.view(), true);
-    cpu.centre(host(from, kPoseNumbers), share, host(to, kPoseNumbers), false);
-    cpu.centre(host(from, kPoseNumbers), share, host(sum, kPoseNumbers), true);
+    cpu.centre(host_view(from, kPoseNumbers), share, host_view(to, kPoseNumbers), false);
+    cpu.centre(host_view(from, kPoseNumbers), share, host_view(sum, kPoseNumbers), true);
     expect_close(t_to.read(), to, 1e-6);
     expect_close(t_sum.read(), sum, 1e-6);
   }
