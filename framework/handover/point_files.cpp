@@ -54,50 +54,34 @@ void text_of(BufferedFile& file, std::string_view words, std::size_t bytes) {
 void write_record(BufferedFile& file, std::uint16_t id, std::uint16_t bytes, const char* describes) {
   file.value(std::uint16_t{0});
   text_of(file, "LASF_Spec", 16);
-  file.value(id);
-  file.value(bytes);
+  file.values(id, bytes);
   text_of(file, describes, 32);
 }
 
 void write_header(BufferedFile& file, const LasLayout& layout, std::size_t count, std::uint32_t records,
                   std::uint32_t data_at) {
   constexpr std::uint16_t kWellKnownText = 16;  // asked of formats from 6 on, whether there is a text or not
+  constexpr std::uint16_t kNoDay = 0;           // equal points give equal files
+  constexpr std::array<std::uint32_t, 6> kEarlierCounts{};
+  constexpr std::array<std::uint64_t, 14> kLaterReturns{};
+  constexpr std::uint64_t kNoWaveforms = 0, kNoRecordsBehind = 0;
   file.text("LASF");
-  file.value(std::uint16_t{0});
-  file.value(kWellKnownText);
+  file.values(std::uint16_t{0}, kWellKnownText);
   file.text(std::string(16, '\0'));
-  file.value(std::uint8_t{1});
-  file.value(std::uint8_t{4});
+  file.values(std::uint8_t{1}, std::uint8_t{4});
   text_of(file, "OTHER", 32);
   text_of(file, "Semfield", 32);
-  file.value(std::uint16_t{0});  // no day: equal points give equal files
-  file.value(std::uint16_t{0});
-  file.value(kHeaderBytes);
-  file.value(data_at);
-  file.value(records);
-  file.value(std::uint8_t{7});
-  file.value(layout.point_bytes);
-  for (int k = 0; k < 6; ++k) file.value(std::uint32_t{0});  // counts of earlier versions
-  for (int k = 0; k < 3; ++k) file.value(layout.step);
-  for (int axis = 0; axis < 3; ++axis) file.value(layout.offset[axis]);
-  for (int axis = 0; axis < 3; ++axis) {
-    file.value(layout.box.hi[axis]);
-    file.value(layout.box.lo[axis]);
-  }
-  file.value(std::uint64_t{0});  // no waveforms
-  file.value(std::uint64_t{0});  // no records behind the points
-  file.value(std::uint32_t{0});
-  file.value(static_cast<std::uint64_t>(count));
-  file.value(static_cast<std::uint64_t>(count));  // all of them first returns
-  for (int k = 1; k < 15; ++k) file.value(std::uint64_t{0});
+  file.values(kNoDay, kNoDay, kHeaderBytes, data_at, records, std::uint8_t{7}, layout.point_bytes, kEarlierCounts);
+  file.values(layout.step, layout.step, layout.step, layout.offset.x, layout.offset.y, layout.offset.z);
+  for (int axis = 0; axis < 3; ++axis) file.values(layout.box.hi[axis], layout.box.lo[axis]);
+  file.values(kNoWaveforms, kNoRecordsBehind, std::uint32_t{0}, std::uint64_t{count}, std::uint64_t{count},
+              kLaterReturns);
 }
 
 void write_extra_bytes(BufferedFile& file, const LasLayout& layout) {
   write_record(file, 4, static_cast<std::uint16_t>(kExtraBytesEntry * layout.extra.size()), "extra bytes");
   for (const auto& [name, type] : layout.extra) {
-    file.value(std::uint16_t{0});
-    file.value(type);
-    file.value(std::uint8_t{0});
+    file.values(std::uint16_t{0}, type, std::uint8_t{0});
     text_of(file, name, 32);
     file.text(std::string(kExtraBytesEntry - 36 - 32, '\0'));
     text_of(file, std::string(name) == "entropy" ? "nats" : "id; 0 = none", 32);
@@ -134,20 +118,13 @@ Vec3d write_las(const std::string& path, const PointSet& points, const ClassTabl
     for (int axis = 0; axis < 3; ++axis)
       file.value(
           static_cast<std::int32_t>(std::llround((points.positions[i][axis] - layout.offset[axis]) / layout.step)));
-    file.value(std::uint16_t{0});    // intensity
-    file.value(std::uint8_t{0x11});  // the first of one return
-    file.value(std::uint8_t{0});     // flags
     const std::int32_t id = known.has_labels() ? classes.id_of(known.label[i]) : 0;
-    file.value(classification(id));
-    file.value(std::uint8_t{0});   // user data
-    file.value(std::int16_t{0});   // scan angle
-    file.value(std::uint16_t{0});  // point source
-    file.value(0.0);               // time
+    constexpr std::uint16_t kNoIntensity = 0, kNoSource = 0;
+    constexpr std::uint8_t kFirstOfOne = 0x11, kNoFlags = 0, kNoUserData = 0;
+    constexpr std::int16_t kNoAngle = 0;
+    file.values(kNoIntensity, kFirstOfOne, kNoFlags, classification(id), kNoUserData, kNoAngle, kNoSource, 0.0);
     for (const std::uint8_t c : known.color[i]) file.value(static_cast<std::uint16_t>(257 * c));
-    if (known.has_labels()) {
-      file.value(static_cast<std::uint16_t>(id));
-      file.value(known.entropy[i]);
-    }
+    if (known.has_labels()) file.values(static_cast<std::uint16_t>(id), known.entropy[i]);
     if (known.has_instances()) file.value(static_cast<std::uint32_t>(known.instance[i]));
   }
   file.commit();
@@ -158,42 +135,32 @@ Vec3d write_las(const std::string& path, const PointSet& points, const ClassTabl
 
 void write_pcd(const std::string& path, const PointSet& points, const ClassTable& classes, Vec3d offset) {
   const PointAttributes& known = points.attributes;
-  std::string names = "x y z", kinds = "F F F";
-  const auto add = [&](const char* name, const char* kind) {
-    names += std::string(" ") + name;
-    kinds += std::string(" ") + kind;
-  };
   const bool normals = !points.normals.empty();
-  if (normals)
-    for (const char* name : {"normal_x", "normal_y", "normal_z"}) add(name, "F");
-  add("rgb", "U");
-  if (known.has_labels()) {
-    add("label", "U");
-    add("entropy", "F");
+  std::vector<std::pair<const char*, const char*>> columns{{"x", "F"}, {"y", "F"}, {"z", "F"}};
+  if (normals) columns.insert(columns.end(), {{"normal_x", "F"}, {"normal_y", "F"}, {"normal_z", "F"}});
+  columns.emplace_back("rgb", "U");
+  if (known.has_labels()) columns.insert(columns.end(), {{"label", "U"}, {"entropy", "F"}});
+  if (known.has_instances()) columns.emplace_back("instance", "U");
+  std::string names, sizes, kinds, counts;
+  for (const auto& [name, kind] : columns) {
+    names += std::string(" ") + name;
+    sizes += " 4";
+    kinds += std::string(" ") + kind;
+    counts += " 1";
   }
-  if (known.has_instances()) add("instance", "U");
-  std::string sizes, counts;
-  for (const char c : kinds)
-    if (c == ' ') {
-      sizes += "4 ";
-      counts += "1 ";
-    }
   const std::size_t count = points.positions.size();
   BufferedFile file(path);
   file.text(
       fmt::format("# .PCD v0.7 - world frame of the input less {:.17g} {:.17g} {:.17g}\n"
-                  "VERSION 0.7\nFIELDS {}\nSIZE {}4\nTYPE {}\nCOUNT {}1\nWIDTH {}\nHEIGHT 1\n"
+                  "VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\nWIDTH {}\nHEIGHT 1\n"
                   "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA binary\n",
                   offset.x, offset.y, offset.z, names, sizes, kinds, counts, count, count));
   for (std::size_t i = 0; i < count; ++i) {
-    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(points.positions[i][axis] - offset[axis]));
-    for (int axis = 0; axis < 3 && normals; ++axis) file.value(static_cast<float>(points.normals[i][axis]));
+    file.floats(points.positions[i] - offset);
+    if (normals) file.floats(points.normals[i]);
     const auto& c = known.color[i];
     file.value(std::uint32_t{c[0]} << 16 | std::uint32_t{c[1]} << 8 | std::uint32_t{c[2]});
-    if (known.has_labels()) {
-      file.value(static_cast<std::uint32_t>(classes.id_of(known.label[i])));
-      file.value(known.entropy[i]);
-    }
+    if (known.has_labels()) file.values(static_cast<std::uint32_t>(classes.id_of(known.label[i])), known.entropy[i]);
     if (known.has_instances()) file.value(static_cast<std::uint32_t>(known.instance[i]));
   }
   file.commit();
@@ -546,12 +513,11 @@ void write_splat_ply(const std::string& path, const Splats& splats, const ClassT
   if (known.has_instances()) header += "property int instance_id\n";
   file.text(header + "end_header\n");
   for (std::size_t i = 0; i < points.positions.size(); ++i) {
-    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(points.positions[i][axis] - offset[axis]));
-    for (int axis = 0; axis < 3; ++axis) file.value(0.0F);
+    file.floats(points.positions[i] - offset);
+    file.floats({});
     for (const std::uint8_t c : known.color[i]) file.value(static_cast<float>((c / 255.0 - 0.5) / harmonic));
     file.value(std::log(splats.opacity[i] / (1 - splats.opacity[i])));
-    for (int axis = 0; axis < 3; ++axis) file.value(scale);
-    for (const float q : {1.0F, 0.0F, 0.0F, 0.0F}) file.value(q);
+    file.values(scale, scale, scale, 1.0F, 0.0F, 0.0F, 0.0F);
     if (known.has_labels()) file.value(std::int32_t{classes.id_of(known.label[i])});
     if (known.has_instances()) file.value(known.instance[i]);
   }
@@ -561,12 +527,11 @@ void write_splat_ply(const std::string& path, const Splats& splats, const ClassT
 void write_splat(const std::string& path, const Splats& splats, Vec3d offset) {
   BufferedFile file(path);
   for (std::size_t i = 0; i < splats.points.positions.size(); ++i) {
-    const Vec3d place = splats.points.positions[i] - offset;
-    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(place[axis]));
-    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(splats.deviation));
-    for (const std::uint8_t c : splats.points.attributes.color[i]) file.value(c);
-    file.value(static_cast<std::uint8_t>(std::lround(255 * splats.opacity[i])));
-    for (const int q : {255, 128, 128, 128}) file.value(static_cast<std::uint8_t>(q));
+    const auto deviation = static_cast<float>(splats.deviation);
+    file.floats(splats.points.positions[i] - offset);
+    file.values(deviation, deviation, deviation, splats.points.attributes.color[i],
+                static_cast<std::uint8_t>(std::lround(255 * splats.opacity[i])),
+                std::array<std::uint8_t, 4>{255, 128, 128, 128});
   }
   file.commit();
 }

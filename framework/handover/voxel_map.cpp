@@ -238,7 +238,7 @@ void write_states(BufferedFile& file, const TreeNode& node) {
 
 void write_nodes(BufferedFile& file, const TreeNode& node) {
   file.value(node.log_odds);
-  for (const std::uint8_t c : node.color) file.value(c);
+  file.value(node.color);
   std::uint8_t bits = 0;
   for (std::size_t i = 0; i < 8; ++i) bits = static_cast<std::uint8_t>(bits | (node.child[i] != nullptr ? 1 : 0) << i);
   file.value(bits);

@@ -35,19 +35,14 @@ std::string ply_header(std::size_t vertices, std::size_t faces, bool normals, co
 void write_vertices(BufferedFile& file, std::span<const Vec3d> positions, std::span<const Vec3d> normals,
                     const PointAttributes& attributes, const ClassTable& classes) {
   for (std::size_t v = 0; v < positions.size(); ++v) {
-    for (int axis = 0; axis < 3; ++axis) file.value(positions[v][axis]);
-    for (int axis = 0; axis < 3 && !normals.empty(); ++axis) file.value(static_cast<float>(normals[v][axis]));
-    for (const std::uint8_t c : attributes.color[v]) file.value(c);
+    file.values(positions[v].x, positions[v].y, positions[v].z);
+    if (!normals.empty()) file.floats(normals[v]);
+    file.value(attributes.color[v]);
     if (attributes.has_labels()) {
       const std::int32_t id = classes.id_of(attributes.label[v]);
-      file.value(id);
-      file.value(static_cast<float>(id));
-      file.value(static_cast<float>(id));
-      file.value(attributes.entropy[v]);
+      file.values(id, static_cast<float>(id), static_cast<float>(id), attributes.entropy[v]);
     }
-    if (!attributes.has_instances()) continue;
-    file.value(attributes.instance[v]);
-    file.value(static_cast<float>(attributes.instance[v]));
+    if (attributes.has_instances()) file.values(attributes.instance[v], static_cast<float>(attributes.instance[v]));
   }
 }
 
@@ -68,10 +63,7 @@ void write_ply(const std::string& path, const Surface& surface, const ClassTable
   BufferedFile file(path);
   file.text(ply_header(surface.positions.size(), surface.triangles.size(), true, surface.attributes));
   write_vertices(file, surface.positions, surface.normals, surface.attributes, classes);
-  for (const Triangle& t : surface.triangles) {
-    file.value(std::uint8_t{3});
-    for (const std::uint32_t v : t) file.value(v);
-  }
+  for (const Triangle& t : surface.triangles) file.values(std::uint8_t{3}, t);
   file.commit();
 }
 
@@ -244,11 +236,8 @@ void write_binary(BufferedFile& file, const Surface& surface, const ClassTable& 
       for (const std::uint32_t v : group.vertices) write(v);
     }
   };
-  for (const auto& [vectors, from] : {std::pair{&surface.positions, offset}, {&surface.normals, Vec3d{}}}) {
-    each([&](std::uint32_t v) {
-      for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>((*vectors)[v][axis] - from[axis]));
-    });
-  }
+  each([&](std::uint32_t v) { file.floats(surface.positions[v] - offset); });
+  each([&](std::uint32_t v) { file.floats(surface.normals[v]); });
   each([&](std::uint32_t v) {
     for (const std::uint8_t c : surface.attributes.color[v])
       file.value(static_cast<std::uint16_t>(std::lround(65535 * linear_light(c))));
@@ -358,12 +347,10 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
                 "choose a larger --voxel, or --format ply");
   }
   BufferedFile file(path);
-  for (const std::uint32_t word : {kMagic, 2U, static_cast<std::uint32_t>(total)}) file.value(word);
-  file.value(static_cast<std::uint32_t>(json.size()));
-  file.value(kJsonChunk);
+  file.values(kMagic, std::uint32_t{2}, static_cast<std::uint32_t>(total));
+  file.values(static_cast<std::uint32_t>(json.size()), kJsonChunk);
   file.text(json);
-  file.value(static_cast<std::uint32_t>(layout.bytes()));
-  file.value(kBinaryChunk);
+  file.values(static_cast<std::uint32_t>(layout.bytes()), kBinaryChunk);
   write_binary(file, surface, classes, vertices, offset);
   file.commit();
 }

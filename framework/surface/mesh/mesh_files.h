@@ -118,6 +118,15 @@ class BufferedFile {
     static_assert(std::is_arithmetic_v<T> && std::endian::native == std::endian::little);
     bytes(&number, sizeof number);
   }
+  template <class T, std::size_t N>
+  void value(const std::array<T, N>& numbers) {
+    for (const T number : numbers) value(number);
+  }
+  template <class... T>
+  void values(const T&... numbers) {
+    (value(numbers), ...);
+  }
+  void floats(Vec3d v) { values(static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)); }
   void commit() {
     flush();
     file_.commit();
