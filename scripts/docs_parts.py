@@ -35,7 +35,7 @@ def sources_in(root, folders, endings):
     """(path, text) of sources that are no tests."""
     for path in sorted(os.path.join(where, name) for folder in folders
                        for where, _, names in os.walk(os.path.join(root, folder)) for name in names):
-        if path.endswith(endings) and not path.endswith("_test.cpp") and not re.search("./tests/", path[len(root) + 1:]):
+        if path.endswith(endings) and not re.search("_test.cpp$|./tests/", path[len(root) + 1:]):
             with open(path, encoding="utf-8") as file:
                 yield os.path.relpath(path, root), file.read()
 
@@ -207,7 +207,10 @@ def sources_table(root):
 
 
 def filled(root, text):
-    return MARK.sub(lambda m: table_of(rows_of(root, m["files"].split()), m["columns"].split()) if m["files"] else sources_table(root), text)
+    def part(mark):
+        table = lambda: table_of(rows_of(root, mark["files"].split()), mark["columns"].split())
+        return table() if mark["files"] else sources_table(root)
+    return MARK.sub(part, text)
 
 
 # The page of all codes of errors and findings, from the sources.
@@ -265,7 +268,7 @@ def arguments(text):
 
 
 def sentence_of(text, before, python):
-    """The literals of an argument, or of the variable that it names, as a sentence, values as …; "" where there are none."""
+    """The literals of an argument, or of the variable that it names, as a sentence, values as …; "": there are none."""
     made = re.fullmatch(r"\s*[a-z]\w*", text) and before.rpartition(f" {text.strip()} = ")
     text, out, last = made[2].partition(";")[0] if made and made[1] else text, "", 0
     for literal in re.finditer(LITERAL, text):
@@ -276,7 +279,8 @@ def sentence_of(text, before, python):
         out += ("" if glued else "…") + literal[0][1:-1]
         last = literal.end()
     out += "…" if out and "{" not in out and re.search(r"\w", re.sub(LITERAL, "", text[last:])) else ""
-    out = re.sub(r"\{[^{}]*\}" if python else r"\{(?::[^{}]*)?\}", "…", out.replace("{{", "{").replace("}}", "}").replace("\\n", " ").replace("\\", ""))
+    out = out.replace("{{", "{").replace("}}", "}").replace("\\n", " ").replace("\\", "")
+    out = re.sub(r"\{[^{}]*\}" if python else r"\{(?::[^{}]*)?\}", "…", out)
     out = re.sub(r"^(?:…?[.:;,]? ?)+", "", " ".join(out.split()))
     if not re.search(r"[a-z]{2,}.* |: …", out):
         return ""
@@ -284,8 +288,8 @@ def sentence_of(text, before, python):
 
 
 def use_of(before, behind, python, wrappers):
-    """How what has the code ends (an exit code, a class of Python, "in a list", "warning", "note", "HTTP"; None: said elsewhere), and its
-    sentence; None where no code is expected. `before` and `behind` are the texts around it."""
+    """How what has the code ends (an exit code, a class of Python, "in a list", "warning", "note", "HTTP"; None: said
+    elsewhere), and its sentence; None where no code is expected. `before` and `behind` are the texts around it."""
     match = BEFORE.search(before[-120:])
     if not match:
         return None

@@ -103,26 +103,30 @@ def arguments(step, program, about):
     """A parser of the words that a step's signature declares: parameters are words and keywords are options, an
     annotation is the help, a default names the type, of which a tuple of names is for some of them. A word without a
     default is a path."""
-    parser = argparse.ArgumentParser(prog=program, description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(prog=program, description=about,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     for one in inspect.signature(step).parameters.values():
         default, name = one.default, one.name.rstrip("_").replace("_", "-")
-        more = {"help": HELP.get(one.name, "") if one.annotation is one.empty else one.annotation, "metavar": name.upper()}
+        is_option = one.kind is one.KEYWORD_ONLY
+        about = HELP.get(one.name, "") if one.annotation is one.empty else one.annotation
+        more = {"help": about, "metavar": name.upper()}
         if one.kind is one.VAR_POSITIONAL:
             more["nargs"] = "*"
         elif default is one.empty:
             more["type"] = pathlib.Path
         elif default is False:
-            more = {"help": more["help"], "action": "store_true"}
+            more = {"help": about, "action": "store_true"}
         elif isinstance(default, tuple) and isinstance(default[0], str):
             more.update(type=some_of(default), default=list(default))
             more["help"] += f" (default: {','.join(default)})"
         else:
             values = default if isinstance(default, tuple) else (default,)
             more.update(default=default, type=str if default is None else type(values[0]))
-            more.update({"nargs": len(values)} if values is default else {} if one.kind is one.KEYWORD_ONLY else {"nargs": "?"})
+            if values is default or not is_option:
+                more["nargs"] = len(values) if values is default else "?"
             more["help"] += "" if default in (None, "") else f" (default: {default})"
-        dash = "" if one.kind is not one.KEYWORD_ONLY else "--" if len(name) > 1 else "-"
-        parser.add_argument(dash + name, **more, **({"dest": one.name} if dash else {}))
+        dash = "" if not is_option else "--" if len(name) > 1 else "-"
+        parser.add_argument(dash + name, **more, **({"dest": one.name} if is_option else {}))
     return parser
 
 

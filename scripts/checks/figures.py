@@ -143,7 +143,7 @@ def object_tables(folder: "of runs", *, out: "folder of the objects" = pathlib.P
                   seeds: "how many" = 3, only: "rooms" = (*ROOMS, "replica"),
                   peer: "a PYTHON with PyTorch: runs the peer too" = None,
                   packed: "FOLDER where ROOM.sfpack are, for --peer" = None,
-                  json_: "FILE that keeps the figures, with those of earlier calls of the same commit and device" = None,
+                  json_: "FILE of figures, those of earlier calls of this commit and device included" = None,
                   gpu: "the runs were opened on the GPU (default)" = False,
                   cpu: "the runs were opened on the CPU" = False, build=common.BUILD):
     """Objects of rooms whose objects are known, as a table of figures and one line of means.

@@ -8,8 +8,8 @@ import time
 
 from . import common
 
-# On this machine, in the system's folder: the script sees HEAD in semfield, what it is given in `in`, and what it leaves in
-# `out` is kept.
+# On this machine, in the system's folder: the script sees HEAD in semfield, what it is given in `in`, and what it
+# leaves in `out` is kept.
 HOOK = """set -e; cd "$1"
 git clone -q --no-hardlinks "$CHECKOUT" root/semfield
 mkdir root/out ccache && cp -a "$GIVEN" root/in
@@ -49,13 +49,13 @@ class Systems:
         shutil.rmtree(self.kept, ignore_errors=True)
         self.kept.mkdir()
         common.say(f"{self.suite}: what it prints: {self.log}")
-        # The way to the mirror that this machine's apt takes. A system that is thrown away need not survive a power cut.
+        # The way to the mirror that this machine's apt takes. What is thrown away need not survive a power cut.
         apt = re.findall(r"^Acquire::(?:https?|check).*", common.run("apt-config", "dump", "Acquire"), re.I | re.M)
         words = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc", "mmdebstrap", "--mode=root",
                  "--variant=minbase", "--dpkgopt=force-unsafe-io", *(f"--aptopt={line}" for line in apt),
                  f"--customize-hook={HOOK}", self.suite, "/dev/null", *self.mirror]
-        environment = {**os.environ, "CHECKOUT": str(common.ROOT), "GIVEN": str(given or self.kept), "CCACHE": self.ccache,
-                       "KEPT": str(self.kept), "SCRIPT": f"cd /root && {script}"}
+        environment = {**os.environ, "CHECKOUT": str(common.ROOT), "GIVEN": str(given or self.kept),
+                       "CCACHE": self.ccache, "KEPT": str(self.kept), "SCRIPT": f"cd /root && {script}"}
         with open(self.log, "w", encoding="utf-8") as file:
             subprocess.run(words, env=environment, stdin=subprocess.DEVNULL, stdout=file, stderr=file)
         text = self.log.read_text(errors="replace")
@@ -116,9 +116,10 @@ def lintian(files):
 
 
 # What is said of a step that fails, and its shell. What is not of the system is not listed: what people keep, apt's and
-# dpkg's books, and logs. The demo runs as a user without rights, in an empty folder, without a network: the shipped files
-# are only read. What is purged is all that came with the packages: autoremove would keep what a package of the bare system
-# suggests or takes as one of two (apt of Debian 13). A shell in the background ignores SIGINT, and so would tests of Ctrl-C.
+# dpkg's books, and logs. The demo runs as a user without rights, in an empty folder, without a network: the shipped
+# files are only read. What is purged is all that came with the packages: autoremove would keep what a package of the
+# bare system suggests or takes as one of two (apt of Debian 13). A shell in the background ignores SIGINT, and so would
+# tests of Ctrl-C.
 FILES = r"find / -xdev \( " + " -o ".join(
     f"-path /{path}" for path in ("root home proc sys dev run tmp ccache var/tmp var/lib/apt var/lib/dpkg var/cache "
                                   "var/log").split()) + r" \) -prune -o -print | sort"
@@ -127,16 +128,17 @@ INSTALLED = [
     ("apt-get update or useradd fails", "apt-get update && useradd -m guest"),
     ("the packages cannot be installed",
      f"{PACKAGES} >packages.before; {FILES} >out/before; {NO_QUESTIONS} ./in/*.deb"),
-    ("the demo fails", "(cd /home/guest && mkdir empty && chown guest empty && cd empty && unshare --net setpriv --reuid=guest "
-                       "--regid=guest --clear-groups env HOME=/home/guest semfield demo)"),
+    ("the demo fails",
+     "(cd /home/guest && mkdir empty && chown guest empty && cd empty && unshare --net setpriv --reuid=guest "
+     "--regid=guest --clear-groups env HOME=/home/guest semfield demo)"),
     ("import semfield fails", "python3 -c 'import semfield; print(semfield.__file__)'"),
     ("apt-get purge fails", f"apt-get purge -y $({PACKAGES} | comm -13 packages.before -)"),
     ("its files cannot be listed", f"{FILES} >out/after"),
     ("the tools of the tests cannot be installed",
      f"{NO_QUESTIONS} ./in/*.deb python3-pytest python3-nbconvert python3-ipykernel mypy"),
     ("tests of the Python module fail",
-     "mkdir checkout && (cd semfield && cp -r --parents -t ../checkout tests/python examples scenes configs docs python/docs) "
-     "&& rm -r semfield && cd checkout && SEMFIELD_TEST_INSTALLED=1 SEMFIELD_PROGRAM=/usr/bin/semfield "
+     "mkdir checkout && (cd semfield && cp -r --parents -t ../checkout tests/python examples scenes configs docs "
+     "python/docs) && rm -r semfield && cd checkout && SEMFIELD_TEST_INSTALLED=1 SEMFIELD_PROGRAM=/usr/bin/semfield "
      "PYTHONDONTWRITEBYTECODE=1 env --default-signal=INT python3 -m pytest -rs -p no:cacheprovider tests/python"),
 ]
 

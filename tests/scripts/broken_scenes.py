@@ -1,4 +1,5 @@
-"""Breaks of own data, and what `semfield inspect` says of them: the step `drill` of scripts/release_check, which is the test of that name."""
+"""Breaks of own data, and what `semfield inspect` says of them: the step `drill` of scripts/release_check, and the test
+of that name."""
 import collections
 import json
 import math
@@ -160,8 +161,8 @@ def state_size(scene, line):
     scene.write()
 
 
-# Name, what breaks the scene, what a line has to say; and where the remedy is no setting, what is done, or what the line
-# has to say before the data are put right.
+# Name, what breaks the scene, what a line has to say; and where the remedy is no setting, what is done, or what the
+# line has to say before the data are put right.
 BREAKS = [
     ("missing image", missing_image, r"colour image '.*' is missing", None),
     ("misnamed key", misnamed_key, r"key '(label|lable_dir)'.*'label_(path|dir)'", rename_key),
