@@ -100,7 +100,9 @@ def build_packages(systems):
                           "cp build/package/packages/*.deb ../out")
     if code != 0:
         raise common.Failed(f"the packages cannot be built: {systems.log}")
-    return systems.kept.rename(systems.folder / f"{systems.suite}.packages")
+    out = systems.folder / f"{systems.suite}.packages"
+    shutil.rmtree(out, ignore_errors=True)
+    return systems.kept.rename(out)
 
 
 def lintian(files):
