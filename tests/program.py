@@ -1,17 +1,20 @@
 """The program as tests run it, each in a folder of its own, and a room to give it."""
 
 import collections
+import fcntl
 import functools
 import json
 import math
 import os
 import pathlib
+import pty
 import shlex
 import signal
 import struct
 import subprocess
 import sys
 import tempfile
+import termios
 import time
 import unittest
 import zlib
@@ -185,6 +188,23 @@ class ProgramCase(unittest.TestCase):
                               cwd=folder or self.dir, stdin=subprocess.DEVNULL, capture_output=True, text=True,
                               errors="replace", env={**os.environ, **(env or {})})
         return Result(done.returncode, done.stdout, done.stderr)
+
+    def on_terminal(self, words, env=None):
+        """Exit code of another program on a terminal of 80 columns in the test's folder, and all that it wrote."""
+        ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        process = subprocess.Popen(words, cwd=self.dir, stdin=theirs, stdout=theirs, stderr=theirs,
+                                   start_new_session=True, env={**os.environ, **(env or {})})
+        self.addCleanup(process.kill)
+        os.close(theirs)
+        written = b""
+        try:
+            while part := os.read(ours, 4096):
+                written += part
+        except OSError:
+            pass  # its end
+        os.close(ours)
+        return process.wait(), written.decode(errors="replace")
 
     def ok(self, words, folder=None, env=None):
         """The Result of words that end in 0."""

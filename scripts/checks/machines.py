@@ -121,7 +121,8 @@ def run_test(build, program, cases, **settings):
     if not path.exists():
         raise common.Failed(f"there is no {path}; build it with ./scripts/test")
     words = [sys.executable, path, "-k", cases] if is_python else [path, f"--gtest_filter={cases}"]
-    settings = {"BINARY": build / "bin/semfield", "CACHE": "off", **settings}
+    settings = {"BINARY": build / "bin/semfield", "ANALYTIC_ROOM": build / "tests/semfield_analytic_room",
+                "FAULT_SHIM": build / "tests/crash/libsemfield_fault_shim.so", "CACHE": "off", **settings}
     environment = {**os.environ, **{f"SEMFIELD_{key}": str(value) for key, value in settings.items()}}
     return subprocess.run(["nice", *words], env=environment).returncode
 
@@ -130,9 +131,8 @@ def torture(kills: "how many" = 1000, calls: "how many" = None, *, build=common.
     """Kills the real program with SIGKILL at random moments of a training, resumes it each time, and compares the bits
 in the end with those of a run left alone. With CALLS also one kill at each of so many of a run's file calls, spread
 evenly; 0: at every one. Builds nothing: run ./scripts/test first."""
-    return (run_test(build, "run/run_process_test", "Process.RandomKillsLoseNoRunAndChangeNoBit", TORTURE_KILLS=kills)
-            or calls and run_test(build, "crash/crash_program_test", "Program.KilledAtItsFileCallsItGoesOn",
-                                  TORTURE_CALLS=calls))
+    return (run_test(build, "run/process_test.py", "random_kills", TORTURE_KILLS=kills)
+            or calls and run_test(build, "crash/program_test.py", "killed_at_its_file_calls", TORTURE_CALLS=calls))
 
 
 def sweep_torture(kills: "how many" = 100, *, build=common.BUILD):

@@ -1,8 +1,11 @@
 // What a disk may hold after a power cut in the middle of recorded file calls.
 
+#include <alloca.h>
 #include <fcntl.h>
 #include <signal.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -16,6 +19,7 @@
 #include "loading/packed_scene.h"
 #include "run/run_folder.h"
 #include "system/files.h"
+#include "system/process.h"
 #include "tests/crash/scenarios.h"
 #include "tests/crash/victim_runs.h"
 #include "tests/scene/tiny_scene.h"
@@ -594,6 +598,35 @@ TEST(ClickLogKill, TwoHundredTimesBetweenClickAndAnswerLosesNoneThatWasAcknowled
     for (std::size_t i = 0; i < events.size(); ++i) ASSERT_EQ(events[i], click_event(static_cast<int>(i)));
     next = static_cast<int>(events.size());
   }
+}
+
+// Pages of the stack below here, as a deep call takes them.
+__attribute__((noinline)) void use_stack(std::size_t bytes) {
+  auto* const stack = static_cast<volatile char*>(alloca(bytes));
+  for (std::size_t at = bytes; at >= 4096; at -= 4096) stack[at - 1] = 0;
+}
+
+// How a process ends that uses its stack when its address space is used up.
+int signal_of_full_process(bool claims) {
+  const pid_t pid = fork();
+  if (pid == 0) {
+    const bool claimed = claims && claim_stack();
+    const rlimit none{4096, 4096};
+    setrlimit(RLIMIT_AS, &none);
+    use_stack(std::size_t{900} << 10);
+    _exit(claimed == claims && !claim_stack() ? 0 : 1);
+  }
+  int status = 0;
+  waitpid(pid, &status, 0);
+  return WIFSIGNALED(status) ? WTERMSIG(status) : WEXITSTATUS(status);
+}
+
+TEST(Stack, WhatWasClaimedIsThereWhenNoMemoryIs) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "a sanitizer reserves more address space than any limit allows";
+#endif
+  EXPECT_EQ(signal_of_full_process(false), SIGSEGV);
+  EXPECT_EQ(signal_of_full_process(true), 0);
 }
 
 }  // namespace
