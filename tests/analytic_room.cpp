@@ -1,14 +1,19 @@
-// Packs the analytic room for tests in Python (program.py): analytic_room FILE [without_depth].
+// Packs the analytic room for tests in Python (program.py): analytic_room FILE [without_depth|without_labels|FRAMES].
+#include <cstdlib>
+#include <string_view>
+
 #include "loading/packed_scene.h"
 #include "testkit/analytic_scene.h"
 
 int main(int argc, char** argv) {
   using namespace semfield;
   if (argc < 2) return 2;
-  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+  const std::string_view word = argc > 2 ? argv[2] : "12";
+  testkit::AnalyticSceneOptions options{.with_depth = word != "without_depth", .with_labels = word != "without_labels"};
+  if (const int frames = std::atoi(word.data()); frames > 0) options.frames = frames;
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
   Diagnostics diagnostics;
-  const SceneInfo info = scene->open(diagnostics);
-  PackOptions options;
-  options.with_depth = argc < 3;
-  write_packed_scene(argv[1], info, [&](int frame, FrameBuffer& out) { scene->read(frame, out); }, options);
+  SceneInfo info = scene->open(diagnostics);
+  if (!options.with_labels) info.classes = {};
+  write_packed_scene(argv[1], info, [&](int frame, FrameBuffer& out) { scene->read(frame, out); });
 }

@@ -8,22 +8,16 @@
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
 #include <algorithm>
-#include <nlohmann/json.hpp>
 
-#include "core/error.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
-#include "formats/image_io.h"
-#include "loading/frame_source.h"
-#include "loading/packed_scene.h"
 #include "scene/classes/class_table.h"
 #include "surface/surface_graph.h"
-#include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/program.h"
+#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
-#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -772,169 +766,6 @@ TEST(Propagation, Refusals) {
   EXPECT_EQ(fact(wall.spread(), "edge of a cell, m"), "0.4");
   wall.maps.depth_m[0].assign(PaintedWall::kPixels, 0);
   EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "no training pixel has depth");
-}
-
-// `semfield fuse` and `semfield propagate` as a user runs them: lines, JSON, maps, depth of a trained run, refusals.
-
-namespace fs = std::filesystem;
-
-using namespace testing_train;
-
-using namespace testing_program;
-
-// A packed analytic room and a configuration that trains on it for a moment.
-std::string write_scene(const TempDir& dir, bool with_depth = true) {
-  testkit::AnalyticSceneOptions options{.with_depth = with_depth};
-  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
-  Diagnostics diagnostics;
-  const SceneInfo info = scene->open(diagnostics);
-  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
-  std::string yaml =
-      with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"), "{type: packed, file: room.sfpack}");
-  write_file_atomic(dir / "config.yaml", yaml);
-  return dir / "config.yaml";
-}
-
-using FuseVerb = ProgramInAFolder;
-
-TEST_F(FuseVerb, LinesJsonAndMaps) {
-  const std::string fuse = "fuse " + shell_word(write_scene(dir));
-  const Result lines = succeeded(semfield(fuse + " --method monocular,bayesian"));
-  EXPECT_HAS(lines.out, "fuse: method=monocular depth=true miou_present=1.0000 ",
-             "\nfuse: method=bayesian depth=true ");
-  EXPECT_HAS(lines.err, "predictions are the scene's own labels");
-  const Result r =
-      succeeded(semfield(fuse + " --json --set fuse.relative_tolerance=0.03 --out " + shell_word(dir / "maps")));
-  const auto rows = nlohmann::json::parse(r.out).at("scores");
-  EXPECT_EQ(nlohmann::json::parse(read_text_file(dir / "maps/fuse.json"))["scores"], rows);
-  const Result one = semfield(fuse + " --json --set fuse.relative_tolerance=0.03 --threads 1");
-  EXPECT_EQ(nlohmann::json::parse(one.out).at("scores"), rows) << "threads change a number";
-  ASSERT_EQ(rows.size(), 3u);
-  for (const auto& row : rows) {
-    for (const char* key : {"miou", "miou_present", "total_accuracy", "average_accuracy"})
-      EXPECT_GT(row[key].get<double>(), 0.9) << key;
-    const std::filesystem::directory_iterator maps(dir / ("maps/" + row["method"].get<std::string>()));
-    EXPECT_EQ(std::distance(begin(maps), end(maps)), 18);
-  }
-  EXPECT_GT(rows[1]["visible_views_mean"].get<double>(), 2);
-}
-
-TEST_F(FuseVerb, DepthOfARunAndItsOwnRow) {
-  const std::string config = write_scene(dir);
-  ASSERT_EQ(semfield("train " + shell_word(config) + " --steps 200 --out " + shell_word(dir / "run")).code, 0);
-  const Result r = succeeded(semfield("fuse " + shell_word(config) + " --json --depth-from " + shell_word(dir / "run") +
-                                      " --set fuse.tolerance=0.2 " + "--out " + shell_word(dir / "maps")));
-  const auto rows = nlohmann::json::parse(r.out).at("scores");
-  ASSERT_EQ(rows.size(), 4u);
-  EXPECT_EQ(rows[3]["method"], "field");
-  EXPECT_TRUE(rows[3]["visible_views_mean"].is_null());
-  EXPECT_GT(rows[3]["total_accuracy"].get<double>(), 0.6);
-  EXPECT_EQ(rows[1]["depth"], "learned");
-  EXPECT_GT(rows[1]["total_accuracy"].get<double>(), 0.7);
-  EXPECT_GT(rows[1]["visible_views_mean"].get<double>(), 1.5);
-  EXPECT_TRUE(std::filesystem::exists(dir / "maps/field"));
-  EXPECT_EQ(nlohmann::json::parse(read_text_file(dir / "maps/fuse.json"))["depth_from"]["step"], 200);
-
-  // A field of another scene: the same names, other places.
-  testkit::AnalyticSceneOptions moved{.frames = 10};
-  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(moved);
-  Diagnostics diagnostics;
-  const SceneInfo info = scene->open(diagnostics);
-  write_packed_scene(dir / "other.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
-  EXPECT_ENDED(semfield("fuse " + shell_word(config) + " --set " + shell_word("scene.file=" + (dir / "other.sfpack")) +
-                        " --depth-from " + shell_word(dir / "run")),
-               65, "the camera stands elsewhere in the scene of");
-
-  // In a room a ten-thousandth as large, cameras a fifth farther out are elsewhere too.
-  const auto scaled = [](const std::string& by) {
-    return " --set scene.load.pose_scale=" + by + " --set scene.load.depth_scale=" + by;
-  };
-  ASSERT_EQ(
-      semfield("train " + shell_word(config) + scaled("1e-4") + " --steps 2 --out " + shell_word(dir / "small")).code,
-      0);
-  const std::string fuse = " --depth-from " + shell_word(dir / "small");
-  EXPECT_EQ(semfield("fuse " + shell_word(config) + scaled("1e-4") + fuse).code, 0);
-  EXPECT_ENDED(semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse), 65,
-               "the camera stands elsewhere in the scene of");
-}
-
-TEST_F(FuseVerb, Refusals) {
-  const std::string config = write_scene(dir, false);
-  const auto refused = [&](const std::string& words, int code, const std::string& message) {
-    const Result r = semfield("fuse " + shell_word(config) + " " + words);
-    EXPECT_EQ(r.code, code) << words;
-    EXPECT_HAS(r.err, message);
-    EXPECT_TRUE(r.out.empty()) << r.out;
-  };
-  refused("", 65, "no training frame of the scene has depth");
-  refused("--depth learned", 2, "name its folder: --depth-from RUN");
-  refused("--depth true --depth-from x", 2, "exclude each other");
-  refused("--set fuse.methods=[mean]", 78, "there is no method 'mean'");
-  refused("--depth-from " + shell_word(dir / "nowhere"), 66, "nowhere");
-  refused("--set fuse.neighbourhood=2", 78, "a window of 2 pixels has no centre");
-}
-
-// `semfield propagate` as a user runs it: its line, JSON, files that train again, the same bytes for any threads,
-// refusals.
-
-using nlohmann::json;
-
-json manifest_of(const std::string& folder) { return json::parse(read_text_file(folder + "/manifest.json")); }
-
-constexpr const char* kClicks = " --set 'scene.labels.degrade=[{type: propagation}]'";
-constexpr const char* kNpz =
-    " --set 'scene.labels.from={type: npz, folder: soft/probability, pattern: \"{name}.npy\"}'";
-
-using PropagateVerb = ProgramInAFolder;
-
-TEST_F(PropagateVerb, ClicksBecomeLabelsThatTrainAgain) {
-  write_packed_config(dir, 200, 0);
-  ASSERT_EQ(semfield(std::string("train config.yaml --out run") + kClicks).code, 0);
-  const Result line = succeeded(semfield("propagate run --out soft"));
-  EXPECT_EQ(line.out.rfind("propagate: method=surface labelled_share=0.00", 0), 0u) << line.out;
-  EXPECT_HAS(line.out, "accuracy=1.0000->0.", " folder=soft\n");
-  EXPECT_HAS(line.err, "propagate.cell_m is 0.");
-
-  const json m = manifest_of(dir / "soft");
-  EXPECT_EQ(m["steps"][1]["type"], "propagate surface");
-  EXPECT_EQ(m["total"]["labelled_px"], 9 * 48 * 36);
-  EXPECT_GT(m["total"]["accuracy"].get<double>(), 0.6);  // the field has seen 200 steps
-  const Result one = succeeded(semfield("propagate run --json --threads 1 --out one"));
-  const json row = json::parse(one.out);
-  EXPECT_EQ(row["accuracy"]["before"], 1.0);
-  EXPECT_EQ(row["accuracy"]["after"], m["total"]["accuracy"]);
-  EXPECT_LT(row["labelled_share"]["before"].get<double>(), 0.01);
-  EXPECT_EQ(row["labelled_share"]["after"], 1.0);
-  // What was written is what trains: the same labels come back through the reader, and a run goes on with them.
-  const Result again = succeeded(semfield(std::string("degrade config.yaml --out again") + kNpz));
-  EXPECT_EQ(manifest_of(dir / "again")["total"], m["total"]);
-  const Result trained = succeeded(semfield(std::string("train config.yaml --steps 20 --out second") + kNpz));
-}
-
-TEST_F(PropagateVerb, Refusals) {
-  write_packed_config(dir, 5, 0);
-  ASSERT_EQ(semfield("train config.yaml --out run").code, 0);
-  const auto refused = [&](const std::string& words, int code, const std::string& message) {
-    const Result r = semfield("propagate " + words);
-    EXPECT_EQ(r.code, code) << words;
-    EXPECT_HAS(r.err, message) << words << ": " << r.err;
-    EXPECT_TRUE(r.out.empty()) << r.out;
-    EXPECT_FALSE(fs::exists(dir / "soft")) << words;
-  };
-  refused("run --out run", 73, "holds files already");
-  refused("nowhere --out soft", 66, "nowhere");
-  refused("run --out soft --method mean", 78, "surface");
-  refused("run --out soft --set 'propagate.vote_cells_m=[0.2, 0.1]'", 78, "the edges do not ascend");
-  refused("run --out soft --set scene.labels.frames=none", 65, "no training pixel carries a label");
-
-  testkit::AnalyticSceneOptions options{.with_labels = false};
-  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
-  Diagnostics diagnostics;
-  SceneInfo info = scene->open(diagnostics);
-  info.classes = {};
-  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
-  ASSERT_EQ(semfield("train config.yaml --out plain").code, 0);
-  refused("plain --out soft", 65, "the run's scene has no classes");
 }
 
 }  // namespace
