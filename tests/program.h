@@ -1,20 +1,12 @@
 // The program as tests of verbs run it: its exit code and what it said.
 #pragma once
 
-#include <fcntl.h>
 #include <gtest/gtest.h>
-#include <signal.h>
-#include <sys/resource.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
-#include <chrono>
 #include <cstdlib>
-#include <optional>
 #include <stdexcept>
-#include <thread>
 
-#include "core/non_copyable.h"
 #include "core/text.h"
 #include "system/files.h"
 #include "tests/says.h"
@@ -35,14 +27,17 @@ inline std::string program() {
   return other != nullptr ? other : SEMFIELD_BINARY;
 }
 
-/// program() with `words`, shell text in which a path is a shell_word, in `folder`, where its output is kept too;
-/// `before` is shell text in front of it.
-inline Result semfield_run(const std::string& words, const std::string& folder, const std::string& before = "") {
-  const std::string command = "cd " + shell_word(folder) + " && " + before + shell_word(program()) + " " + words +
-                              " >stdout 2>stderr </dev/null";
+/// Shell text in `folder`, where its output is kept too.
+inline Result shell_run(const std::string& text, const std::string& folder) {
+  const std::string command = "cd " + shell_word(folder) + " && " + text + " >stdout 2>stderr </dev/null";
   const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of a test
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
-          read_text_file(folder + "/stderr")};
+          read_text_file(folder + "/stderr"), WIFSIGNALED(status) ? WTERMSIG(status) : 0};
+}
+
+/// program() with `words`, shell text in which a path is a shell_word; `before` is shell text in front of it.
+inline Result semfield_run(const std::string& words, const std::string& folder, const std::string& before = "") {
+  return shell_run(before + shell_word(program()) + " " + words, folder);
 }
 
 /// Of a program that has to end in 0; the test ends otherwise.
@@ -66,77 +61,6 @@ std::string unended(const Result& result, int exit_code, const Said&... said) {
   return unsaid(result.err, said...);
 }
 using Parts = std::initializer_list<std::string_view>;
-
-struct Limit {
-  __rlimit_resource_t kind = RLIMIT_NOFILE;
-  rlim_t most = 0;
-};
-
-/// A program that runs beside the test; its output goes to `folder`/stdout and `folder`/stderr. Killed when it is left.
-/// `limit` of the kind RLIMIT_NOFILE, when given, holds for it alone.
-class Process : NonCopyable {
- public:
-  Process(const std::string& program, const std::vector<std::string>& words, const std::string& folder,
-          const std::vector<std::string>& environment = {}, const std::optional<Limit>& limit = {})
-      : out_(folder + "/stdout"), err_(folder + "/stderr") {
-    std::vector<char*> argv{const_cast<char*>(program.c_str())};
-    for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
-    argv.push_back(nullptr);
-    const int out = open(out_.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
-    const int err = open(err_.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
-    pid_ = fork();
-    if (pid_ == 0) {
-      dup2(out, 1);
-      dup2(err, 2);
-      for (const std::string& setting : environment) putenv(const_cast<char*>(setting.c_str()));
-      if (limit) {
-        const rlimit both{limit->most, limit->most};
-        setrlimit(limit->kind, &both);
-      }
-      execv(program.c_str(), argv.data());
-      _exit(127);
-    }
-    close(out);
-    close(err);
-  }
-  ~Process() {
-    if (pid_ <= 0) return;
-    kill(pid_, SIGKILL);
-    waitpid(pid_, nullptr, 0);
-  }
-
-  int pid() const { return pid_; }
-  void send(int signal) const { kill(pid_, signal); }
-  Result wait() {
-    int status = 0;
-    waitpid(pid_, &status, 0);
-    return result(status);
-  }
-  /// None when it still runs after so long.
-  std::optional<Result> wait_for(double seconds) {
-    const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
-    int status = 0;
-    while (waitpid(pid_, &status, WNOHANG) == 0) {
-      if (std::chrono::steady_clock::now() >= end) return std::nullopt;
-      std::this_thread::sleep_for(std::chrono::milliseconds(5));
-    }
-    return result(status);
-  }
-  std::string err_so_far() const { return read_text_file(err_); }
-
- private:
-  Result result(int status) {
-    pid_ = -1;
-    Result r;
-    if (WIFEXITED(status)) r.code = WEXITSTATUS(status);
-    if (WIFSIGNALED(status)) r.signal = WTERMSIG(status);
-    r.out = read_text_file(out_);
-    r.err = read_text_file(err_);
-    return r;
-  }
-  std::string out_, err_;
-  pid_t pid_ = -1;
-};
 
 }  // namespace semfield::testing_program
 

@@ -63,19 +63,18 @@ struct Fault {
 
 using namespace testing_program;
 
-/// The environment that preloads the shim and plans `fault` for calls below `folder`.
-inline std::vector<std::string> fault_environment(const std::string& folder, const std::string& log,
-                                                  const Fault& fault) {
-  // By name: in LD_PRELOAD a space ends a path.
+/// Words for `env` that preload the shim and plan `fault` for calls below `folder`.
+inline std::string fault_environment(const std::string& folder, const std::string& log, const Fault& fault) {
   const fs::path shim = SEMFIELD_FAULT_SHIM;
-  return {"LD_PRELOAD=" + shim.filename().string(),
-          "LD_LIBRARY_PATH=" + shim.parent_path().string(),
-          "ASAN_OPTIONS=verify_asan_link_order=0",
-          "SEMFIELD_FAULT_BELOW=" + folder,
-          "SEMFIELD_FAULT_LOG=" + log,
-          "SEMFIELD_FAULT_CALL=" + std::to_string(fault.call),
-          "SEMFIELD_FAULT=" + fault.kind,
-          std::string("SEMFIELD_FAULT_STICKY=") + (fault.sticky ? "1" : "0")};
+  std::string words;
+  for (const std::string& word : {"LD_PRELOAD=" + shim.filename().string(),  // in a path a space would end it
+                                  "LD_LIBRARY_PATH=" + shim.parent_path().string(),
+                                  std::string("ASAN_OPTIONS=verify_asan_link_order=0"), "SEMFIELD_FAULT_BELOW=" + folder,
+                                  "SEMFIELD_FAULT_LOG=" + log, "SEMFIELD_FAULT_CALL=" + std::to_string(fault.call),
+                                  "SEMFIELD_FAULT=" + fault.kind,
+                                  std::string("SEMFIELD_FAULT_STICKY=") + (fault.sticky ? "1" : "0")})
+    words += shell_word(word) + " ";
+  return words;
 }
 
 /// A folder with the state before a save, and the save with a fault in it.
@@ -89,15 +88,13 @@ class Trial : NonCopyable {
   Result save(const Fault& fault = {}) {
     fs::remove(log_);
     fs::remove(log_ + ".data");
-    return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_.path(),
-                   fault_environment(folder_, log_, fault))
-        .wait();
+    return victim("save", fault_environment(folder_, log_, fault));
   }
   /// Of the last save; calls behind a kill are missing.
   std::vector<FileCall> calls() const { return read_calls(log_); }
   /// By a fresh process.
   Look look() const {
-    const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_.path()).wait();
+    const Result r = victim("look", "");
     std::istringstream words(r.out);
     Look found;
     words >> std::hex >> found.crc >> std::dec >> found.temporaries;
@@ -109,6 +106,11 @@ class Trial : NonCopyable {
   const std::string& folder() const { return folder_; }
 
  private:
+  Result victim(const std::string& word, const std::string& settings) const {
+    return shell_run("exec env " + settings + shell_word(SEMFIELD_VICTIM) + " " + word + " " + name_of(what_) + " " +
+                         shell_word(folder_),
+                     root_.path());
+  }
   Save what_;
   const TempDir root_;
   const std::string folder_ = root_ / "work", log_ = root_ / "log";
