@@ -49,6 +49,25 @@ def png(path, width, height, color, bits, rows):
                                                                  zlib.crc32(name + part)) for name, part in chunks))
 
 
+def png_bytes(path):
+    """The pixels of an image of 8 bits of grey."""
+    data, rows, at = path.read_bytes(), [], 8
+    width, packed = struct.unpack_from(">I", data, 16)[0], b""
+    while at < len(data):
+        size, kind = struct.unpack_from(">I4s", data, at)
+        packed += data[at + 8:at + 8 + size] if kind == b"IDAT" else b""
+        at += size + 12
+    lines, above = zlib.decompress(packed), bytes(width)
+    for begin in range(0, len(lines), width + 1):
+        row = bytearray()
+        for x, value in enumerate(lines[begin + 1:begin + 1 + width]):
+            left, corner, up = row[-1] if x else 0, above[x - 1] if x else 0, above[x]
+            near = min((left, up, corner), key=lambda one: abs(left + up - corner - one))
+            row.append(value + (0, left, up, (left + up) // 2, near)[lines[begin]] & 255)
+        rows.append(above := bytes(row))
+    return b"".join(rows)
+
+
 def write_room(folder, frames=5, width=40, height=30):
     """A box room of six walls, each a class, in the layout of Replica: photographs, depth, classes and instances."""
     half, names = (2, 1.5, 2.5), ("rgb", "depth", "semantic_class", "semantic_instance")
@@ -188,6 +207,11 @@ class ProgramCase(unittest.TestCase):
                               cwd=folder or self.dir, stdin=subprocess.DEVNULL, capture_output=True, text=True,
                               errors="replace", env={**os.environ, **(env or {})})
         return Result(done.returncode, done.stdout, done.stderr)
+
+    def limited(self, limit, words, env=None):
+        """By `ulimit`."""
+        command = f"ulimit {limit}; exec {shlex.join(map(str, [PROGRAM, *words]))}"
+        return self.start("-c", command, env=env, program="/bin/sh").wait()
 
     def on_terminal(self, words, env=None):
         """Exit code of another program on a terminal of 80 columns in the test's folder, and all that it wrote."""

@@ -50,11 +50,6 @@ class Program(ProgramCase):
         self.ok(self.train())
         self.ends_in_the_same_bits()
 
-    def limited(self, limit, words, env=None):
-        """Of `ulimit`."""
-        command = f"ulimit {limit}; exec {shlex.join(map(str, [PROGRAM, *words]))}"
-        return self.start("-c", command, folder=self.dir, env=env, program="sh").wait()
-
     def faulty(self, call=0, fault="", sticky=False):
         """Its environment with a fault (fault_shim.cpp) at a call below the run's folder, and the log of its calls."""
         shim, log = pathlib.Path(os.environ["SEMFIELD_FAULT_SHIM"]), self.folder() / "log"
