@@ -3,7 +3,6 @@
 #include "labels/label_export.h"
 
 #include <algorithm>
-#include <cmath>
 
 #include "core/rng.h"
 #include "core/text.h"
@@ -16,7 +15,7 @@
 #include "scene/scene.h"
 #include "system/files.h"
 #include "tests/labels/reader_case.h"
-#include "tests/program.h"
+#include "tests/says.h"
 #include "tests/scene/image_bytes.h"
 
 namespace semfield::testing_labels {
@@ -206,70 +205,6 @@ TEST(LabelExport, ImagesOfOneNameInTwoFoldersStayTwo) {
   EXPECT_HAS(error_of([&] { coco.add(second); }), "right_0001", "is called");
 }
 
-// `semfield export` and `semfield classes`: the program on a tiny room; what it wrote is compared with what it renders.
-
-using namespace testing_program;
-
-TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
-  const std::string folder = fresh_folder("t");
-  testing_room::write_replica(folder + "/room", 5);
-  // Labels by way of a reader: the class images under another name.
-  std::filesystem::rename(folder + "/room/semantic_class", folder + "/predictions");
-  write_file_atomic(
-      folder + "/room.yaml",
-      "include: " + std::string(SEMFIELD_SOURCE_DIR) +
-          "/configs/presets/room.yaml\n"
-          "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: {from: "
-          "{type: images, folder: predictions, pattern: 'semantic_class_{number}.png'}}}\n");
-  const Result trained = succeeded(semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder));
-  const Result render = succeeded(semfield_run("render run --split test --out rendered -q", folder));
-  const ClassTable table = ClassTable::load(folder + "/room/classes.yaml");
-  for (const std::string format : {"coco", "coco_rle", "labelme"}) {
-    const Result r =
-        succeeded(semfield_run("export run --split test --format " + format + " --out " + format + ".json", folder));
-    EXPECT_EQ(r.out.find("export: frames=2 shapes="), 0u) << r.out;
-    const std::string path = folder + "/" + format + ".json";
-    const auto reader =
-        format == "labelme" ? make_reader("labelme", "folder: " + path) : make_reader("coco", "file: " + path);
-    for (const std::string name : {"rgb_1", "rgb_3"}) {
-      const Image<std::uint16_t> ids = read_ids(folder + "/rendered/" + name + "_label.png");
-      std::vector<std::int16_t> rendered;
-      for (const std::uint16_t id : ids.pixels) rendered.push_back(static_cast<std::int16_t>(table.index_of(id)));
-      EXPECT_EQ(read_labels(*reader, frame_of(name), table).hard, rendered) << format << " " << name;
-    }
-  }
-  // A run that loads its images smaller: labels still have the size of the images, unless an option says otherwise.
-  const std::string half = "export run --split test --set scene.load.downscale=2 ";
-  for (const std::string size : {"stored", "trained"}) {
-    ASSERT_EQ(semfield_run(half + "--size " + size + " --out half.json", folder).code, 0);
-    EXPECT_HAS(read_text_file(folder + "/half.json"),
-               size == "stored" ? R"("height":30,"id":1,"width":40)" : R"("height":15,"id":1,"width":20)");
-  }
-  // No region of the exported labels is smaller than asked; large ones are tested in SmallRegions below.
-  const Result calm =
-      succeeded(semfield_run("export run --split test --min-area 30 --format coco --out calm.json", folder));
-  EXPECT_HAS(calm.err, " regions of fewer than 30 pixels");
-  const auto coco = make_reader("coco", "file: " + folder + "/calm.json");
-  const std::vector<std::int16_t> labels = read_labels(*coco, frame_of("rgb_1"), table).hard;
-  for (const MaskRegion& region : mask_regions(labels, 40, 30)) EXPECT_GE(region.area_px, 30);
-  EXPECT_SAID(semfield_run("export run --format coc --out x.json", folder).err, "usage.value.invalid", "coco?");
-}
-
-TEST(ClassesVerb, ConvertsTables) {
-  const std::string folder = fresh_folder("t");
-  EXPECT_EQ(semfield_run("classes nyu40", folder).out, published_classes("nyu40").to_yaml());
-  ASSERT_EQ(semfield_run("classes scannet20 --format cvat --out labelmap.txt", folder).code, 0);
-  EXPECT_EQ(import_classes(folder + "/labelmap.txt").valid_count(), 20);
-  EXPECT_EQ(semfield_run("classes labelmap.txt --format csv", folder).out.find("class_id,class\n0,void\n1,wall\n"), 0u);
-  EXPECT_NE(semfield_run("classes nyu13 --colors semfield", folder).out, published_classes("nyu13").to_yaml());
-  write_file_atomic(folder + "/l.tsv", std::string_view("id\traw_category\tnyu40id\n2\toffice chair\t5\n"));
-  EXPECT_HAS(semfield_run("classes l.tsv --ids nyu40", folder).out, "{id: 5, name: \"chair\"");
-  EXPECT_HAS(semfield_run("classes l.tsv", folder).out, "{id: 2, name: \"office chair\"");
-  const Result wrong = semfield_run("classes nyu13 --ids nyu40", folder);
-  EXPECT_EQ(wrong.code, 2);
-  EXPECT_SAID(wrong.err, "usage.flag.conflict", "semfield: --ids nyu40", "'nyu13'", "scannetv2-labels.combined.tsv");
-}
-
 // Labels are drawn over pictures as viewers show them: every reader, every EXIF orientation, at every loaded size.
 
 using testing_room::fresh_folder;
@@ -456,116 +391,6 @@ TEST(TurnedPictures, LabelImagesOfTheSceneAreReadAsShown) {
     const ShownCorners at = shown_corners(orientation, 5, 3);
     EXPECT_EQ(out.instance[static_cast<std::size_t>(5 * at.left_y + at.left_x)], 4);
     EXPECT_EQ(out.instance[static_cast<std::size_t>(5 * at.right_y + at.right_x)], 7);
-  }
-}
-
-using namespace testing_program;
-
-// Where a pixel of a picture stored as 40 x 30 is shown. Turned by hand: 3 by half, 6 to the right, 8 to the left, 5
-// mirrored about one diagonal, 7 about the other.
-std::size_t shown_pixel(int turn, int x, int y) {
-  const int u = turn == 3 ? 39 - x : turn == 6 || turn == 7 ? 29 - y : y;
-  const int v = turn == 3 ? 29 - y : turn == 8 || turn == 7 ? 39 - x : x;
-  return static_cast<std::size_t>(v * (turn >= 5 ? 30 : 40) + u);
-}
-
-// `render` shows pixels as stored; what is exported for tools, and what degrade writes, as the photograph is shown.
-TEST(TurnedPictures, ExportsAreAsShownAndReadBack) {
-  const std::string folder = fresh_folder("t");
-  testing_room::write_replica(folder + "/room", 5);
-  const std::vector<int> turns{3, 6, 8, 5, 7};
-  std::filesystem::create_directories(folder + "/labels");
-  for (int i = 0; i < 5; ++i) {
-    const std::string name = std::to_string(i) + ".png", label = folder + "/room/semantic_class/semantic_class_" + name;
-    const int turn = turns[static_cast<std::size_t>(i)];
-    set_orientation(folder + "/room/rgb/rgb_" + name, turn);
-    const Image<std::uint16_t> stored = read_ids(label);
-    std::vector<std::uint8_t> shown(stored.pixels.size());
-    const bool quarter = turn >= 5;
-    for (int y = 0; y < 30; ++y) {
-      for (int x = 0; x < 40; ++x) {
-        const auto id = static_cast<std::uint8_t>(stored.pixels[static_cast<std::size_t>(40 * y + x)]);
-        shown[shown_pixel(turn, x, y)] = id;
-      }
-    }
-    write_png_gray8(folder + "/labels/" + name, quarter ? 30 : 40, quarter ? 40 : 30, shown);
-  }
-  for (const char* name : {"/room/semantic_class", "/room/semantic_instance"})
-    std::filesystem::remove_all(folder + name);
-  write_file_atomic(folder + "/room.yaml",
-                    "include: " + std::string(SEMFIELD_SOURCE_DIR) +
-                        "/configs/presets/room.yaml\nscene: {type: replica, root: room, train_step: 1, test_step: 0, "
-                        "labels: {from: {type: images, folder: labels, pattern: '{number}.png'}}}\n");
-  const Result degraded = succeeded(semfield_run("degrade room.yaml --out given", folder));
-  for (int i = 0; i < 5; ++i) {
-    const std::string number = std::to_string(i);
-    EXPECT_EQ(read_ids(folder + "/given/semantic_class/semantic_class_" + number + ".png").pixels,
-              read_ids(folder + "/labels/" + number + ".png").pixels)
-        << turns[static_cast<std::size_t>(i)];
-  }
-  const Result trained = succeeded(semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder));
-  ASSERT_EQ(semfield_run("render run --split train --out rendered -q", folder).code, 0);
-  const ClassTable table = ClassTable::load(folder + "/room/classes.yaml");
-  for (const std::string format : {"coco", "labelme", "png"}) {
-    const Result r = succeeded(
-        semfield_run("export run --split train --min-area 0 --format " + format + " --out " + format + ".x", folder));
-    const std::string path = folder + "/" + format + ".x";
-    for (int i = 0; i < 5; ++i) {
-      const std::string name = "rgb_" + std::to_string(i);
-      const int turn = turns[static_cast<std::size_t>(i)];
-      const Image<std::uint16_t> stored = read_ids(folder + "/rendered/" + name + "_label.png");
-      FrameInfo frame{.name = name, .source = folder + "/room/rgb/" + name + ".png"};
-      frame.camera.width_px = turn >= 5 ? 30 : 40;
-      frame.camera.height_px = turn >= 5 ? 40 : 30;
-      auto reader = format == "coco" ? make_reader("coco", "file: " + path)
-                    : format == "labelme"
-                        ? make_reader("labelme", "folder: " + path)
-                        : make_reader("images", "{folder: " + path + ", pattern: '{name}_label.png'}");
-      const LabelRaster shown = read_labels(*reader, frame, table);
-      ASSERT_EQ(shown.width_px, frame.camera.width_px) << format;
-      int wrong = 0;
-      for (int y = 0; y < 30; ++y) {
-        for (int x = 0; x < 40; ++x)
-          wrong += shown.hard[shown_pixel(turn, x, y)] !=
-                   table.index_of(stored.pixels[static_cast<std::size_t>(40 * y + x)]);
-      }
-      EXPECT_EQ(wrong, 0) << format << " " << turn;
-    }
-  }
-  // A packed scene still knows how its photographs are shown.
-  ASSERT_EQ(semfield_run("pack room.yaml --out room.sfpack", folder).code, 0);
-  write_file_atomic(folder + "/packed.yaml",
-                    "include: " + std::string(SEMFIELD_SOURCE_DIR) +
-                        "/configs/presets/room.yaml\nscene: {type: packed, file: room.sfpack, labels: {from: {type: "
-                        "images, folder: labels, pattern: '{number}.png'}}}\n");
-  const Result packed = succeeded(semfield_run("degrade packed.yaml --out again", folder));
-  for (const char* number : {"0", "4"})
-    EXPECT_EQ(read_ids(folder + "/again/semantic_class/semantic_class_" + number + ".png").pixels,
-              read_ids(folder + "/labels/" + number + ".png").pixels);
-}
-
-// Frame 0 is shown upside down; the room's own label images are drawn over it so.
-TEST(TurnedPictures, ProbabilitiesAndFusedMapsAreAsShown) {
-  const std::string folder = fresh_folder("t"), own = "/semantic_class/semantic_class_0.png";
-  testing_room::write_replica(folder + "/room", 5);
-  set_orientation(folder + "/room/rgb/rgb_0.png", 3);
-  const auto with_labels = [&](const std::string& verb, const std::string& labels) {
-    write_file_atomic(folder + "/room.yaml", "include: " + std::string(SEMFIELD_SOURCE_DIR) +
-                                                 "/configs/presets/room.yaml\nscene: {type: replica, root: room, "
-                                                 "train_step: 2, test_step: 2, test_offset: 1" +
-                                                 labels + "}\n");
-    succeeded(semfield_run(verb, folder));
-  };
-  with_labels("fuse room.yaml --method monocular --out maps", "");
-  EXPECT_EQ(read_ids(folder + "/maps/monocular/rgb_0_label.png").pixels, read_ids(folder + "/room" + own).pixels);
-  with_labels("degrade room.yaml --out given", ", labels: {degrade: [{type: simulated_predictions}]}");
-  const std::vector<float> soft =
-      read_npy(folder + "/given/probability/rgb_0.npy", [](std::span<const std::int64_t>) {}).values;
-  const std::vector<std::uint16_t> ids = read_ids(folder + "/given" + own).pixels;
-  ASSERT_EQ(soft.size(), 6 * ids.size());
-  for (std::size_t p = 0; p < ids.size(); ++p) {
-    const auto row = soft.begin() + static_cast<std::ptrdiff_t>(6 * p);
-    ASSERT_EQ(ids[p], std::max_element(row, row + 6) - row + 1) << p;
   }
 }
 
