@@ -120,6 +120,10 @@ class Field : public Parametric<Real> {
   /// Multiply-adds of M samples of R rays: the sum over layers, unless a field says it without making a list.
   virtual std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const;
 
+  /// "runs layer by layer here; ...", and what the fast way needs, where it computes more slowly than it could: a run
+  /// on a GPU asks its fields and warns.
+  virtual std::string slow_path() const { return {}; }
+
   /// saved may be empty when no backward will follow.
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
                Saved saved) const;

@@ -239,8 +239,7 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
 
 void say_slow_fields(const RunConfig& config, const std::vector<PassParts<float>>& passes, Diagnostics& diagnostics) {
   const auto say = [&](const std::string& where, const Field<float>& field) {
-    const auto* part = dynamic_cast<const SlowPath*>(&field);
-    const std::string found = part == nullptr ? "" : part->slow_path();
+    const std::string found = field.slow_path();
     if (!found.empty()) diagnostics.warning("device.field.slow", where, found, {});
   };
   for (const PassParts<float>& pass : passes) {

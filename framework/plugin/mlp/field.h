@@ -102,7 +102,7 @@ struct FusedKernels {
 /// A field derives from it as from MlpField, and ends its constructor with fuse(). Where there are no such kernels, or
 /// they do not serve, the network is computed layer by layer.
 template <class Real, class Shape>
-class FusedMlpField : public MlpField<Real>, public SlowPath {
+class FusedMlpField : public MlpField<Real> {
   using Layered = MlpField<Real>;
 
  public:
