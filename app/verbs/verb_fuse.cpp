@@ -1,13 +1,15 @@
-// fuse: predictions of a scene's training frames combined over views, scored, and written as maps. propagate: training
-// labels of a run spread over the surface that it has learned, written as soft labels and scored.
+// fuse, propagate, export, classes: labels combined over views, spread, and handed to labelling tools.
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
+#include <functional>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "app/json_output.h"
+#include "app/render/run_surface.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
@@ -17,14 +19,22 @@
 #include "core/error.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
+#include "labels/frame_match.h"
+#include "labels/label_export.h"
 #include "labels/label_files.h"
+#include "labels/mask_outlines.h"
+#include "run/run_folder.h"
 #include "run/run_scores.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
+#include "serve/view_pictures.h"
 #include "surface/fuse/fusion.h"
 #include "system/files.h"
 
 namespace semfield::app {
+
+// fuse: predictions of a scene's training frames combined over views, scored, and written as maps. propagate: training
+// labels of a run spread over the surface that it has learned, written as soft labels and scored.
 
 namespace {
 
@@ -282,6 +292,284 @@ Verb verb_fuse() {
 Verb verb_propagate() {
   return make_verb<PropagateOptions>("propagate", 120, "spread training labels over the surface that a run has learned",
                                      run);
+}
+
+// export: label maps of a run's field for labelling tools, or the run as one page to send.
+
+namespace {
+
+struct ExportVerbOptions : Options {
+  explicit ExportVerbOptions(const Declaration& at) : Options(at) { excludes("--to", "--out"); }
+  const std::string& run = operand("run", "run folder");
+  const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames to export");
+  const std::string& format = choice(
+      "--format FORMAT", "coco", {"coco", "coco_rle", "labelme", "png"},
+      "coco (polygons), coco_rle (run lengths), labelme, or png (label images with class ids, and classes.yaml)");
+  const std::string& size = choice(
+      "--size SIZE", "stored", {"stored", "trained"},
+      "size of the labels: stored, that of the images in their files, along whose edges the labels are brought; or "
+      "trained, the size at which the run loads them");
+  const std::optional<long long>& min_area = value_in<std::optional<long long>>(
+      "--min-area N", {}, 0, 1e9,
+      "merge regions of fewer pixels into the class around them; 0: none (default: 1/4096 of an image's pixels)");
+  const std::string& out = value("--out PATH", "file to write for COCO, folder for labelme and png");
+  const std::string& to =
+      value("--to FILE",
+            "instead of labels, one page that any browser opens without a network: FILE.html, with the mesh, its "
+            "classes and the objects that were found");
+  const std::vector<std::string>& set = run_settings();
+};
+
+constexpr long long kPageFaces = 2'000'000;      // about 20 MB
+constexpr std::int64_t kPixelsOfARegion = 4096;  // of an image, for one of the least region that stands by itself
+
+// The stored image of a frame, "" when its dataset has none.
+std::string image_of(const FrameInfo& info) {
+  std::error_code ignored;
+  return std::filesystem::is_regular_file(info.source, ignored) ? info.source : std::string();
+}
+
+// What a frame's labels are rendered at, and what becomes of them.
+class Exporter {
+ public:
+  Exporter(const ExportVerbOptions& options, const Session& session)
+      : options_(options), session_(session), pictures_(picture_names(session.scene.info.frames)) {
+    if (options.format == "coco" || options.format == "coco_rle") {
+      coco_.emplace(classes(), options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
+      return;
+    }
+    create_output_folder(options.out);
+  }
+
+  void add(int number, const std::function<void(double)>& progress) {
+    const FrameInfo& info = session_.scene.info.frames[static_cast<std::size_t>(number)];
+    const std::optional<StoredSize> stored = options_.size == "stored" ? stored_size_of(info) : std::nullopt;
+    const Camera& camera = stored ? stored->camera : info.camera;
+    FrameOptions rendering{stored ? stored->stride : 1, progress};
+    rendering.color = false;
+    RenderedFrame rendered =
+        render_named_frame(*session_.pipeline, info.name, {camera, info.world_from_camera, session_.plan.undistortion},
+                           session_.limits, session_.plan.class_of_logit, {}, rendering);
+    LabelledFrame frame{info.name, image_of(info), camera.width_px, camera.height_px, {}};
+    frame.label = stored ? labels_at(*stored, std::move(rendered)) : std::move(rendered.label);
+    for (std::int16_t& label : frame.label)
+      if (label >= 0 && is_unnamed_class(classes().valid(label).name)) label = kVoid;
+    const std::int64_t all = std::ssize(frame.label);
+    const SmallRegions small = fill_small_regions(frame.label, frame.width_px, frame.height_px,
+                                                  options_.min_area.value_or(all / kPixelsOfARegion));
+    if (const std::optional<Annotations>& clicks = session_.config.labels.clicks)
+      clicks->clear_ignored(number, frame.width_px, frame.height_px, frame.label);
+    // Tools draw over the image as they show it.
+    frame.label = as_shown(std::move(frame.label), frame.width_px, frame.height_px, info.orientation);
+    if (turned_by_quarter(info.orientation)) std::swap(frame.width_px, frame.height_px);
+    frame.picture = pictures_[static_cast<std::size_t>(number)];
+    filled_.regions += small.regions;
+    filled_.pixels += small.pixels;
+    pixels_ += all;
+    ++frames_;
+    write(frame);
+  }
+
+  void finish() {
+    if (coco_) {
+      coco_->write(options_.out);
+      shapes_ = coco_->annotations();
+    } else if (options_.format == "png") {
+      write_file_atomic((std::filesystem::path(options_.out) / "classes.yaml").string(),
+                        named_classes(classes()).to_yaml());
+    }
+  }
+  int frames() const { return frames_; }
+  std::int64_t shapes() const { return shapes_; }
+  /// A sentence about regions that took the class around them; "" without any.
+  std::string told() const {
+    if (filled_.regions == 0) return {};
+    return fmt::format(
+        "{} regions of fewer than {} pixels took the class around them: {} of {} pixels", filled_.regions,
+        options_.min_area ? std::to_string(*options_.min_area) : fmt::format("1/{} of an image's", kPixelsOfARegion),
+        filled_.pixels, pixels_);
+  }
+
+ private:
+  const ClassTable& classes() const { return session_.scene.info.classes; }
+  void write(const LabelledFrame& frame) {
+    if (coco_) {
+      coco_->add(frame);
+    } else if (options_.format == "png") {
+      write_label_ids((std::filesystem::path(options_.out) / (output_name(frame.name) + "_label.png")).string(),
+                      {frame.width_px, frame.height_px}, frame.label, classes());
+      ++shapes_;
+    } else {
+      shapes_ += write_labelme(options_.out, frame, classes());
+    }
+  }
+
+  const ExportVerbOptions& options_;
+  const Session& session_;
+  std::vector<std::string> pictures_;  // by frame
+  std::optional<CocoExport> coco_;
+  SmallRegions filled_;
+  std::int64_t shapes_ = 0, pixels_ = 0;
+  int frames_ = 0;
+};
+
+// The page that `semfield mesh` writes as HTML.
+int export_page(const ExportVerbOptions& options, AppContext& context) {
+  if (!options.to.ends_with(".html"))
+    throw Error(ErrorKind::usage, "export.page.ending", "--to " + options.to + ": this is not the name of a page",
+                "end it with .html; meshes and points are written by `semfield mesh --out`");
+  const OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
+  SurfaceWishes wishes;
+  wishes.faces = kPageFaces;
+  RunSurface found;
+  {
+    ProgressLine progress(context, "depth of", "views");
+    found = make_run_surface(run.session, options.run, wishes, {},
+                             {[&](const std::string& note) { print_note(context, note); },
+                              [&](double done, double of) { progress.show(done, of); }});
+  }
+  const std::filesystem::path file(options.to);
+  if (file.has_parent_path()) create_folders(file.parent_path().string());
+  const ScenePage page =
+      scene_page_of(run.session, run.run_dir, run.step, upright_of(run.session).value_or(Vec3d{0, 1, 0}));
+  write_scene_page(options.to, found.surface, run.session.scene.info.classes, page);
+  const std::size_t objects = page.objects ? page.objects->rows.size() : 0;
+  const double megabytes = static_cast<double>(std::filesystem::file_size(file)) * 1e-6;
+  const std::size_t faces = found.surface.triangles.size();
+  print_results(
+      context,
+      {{"run", options.run},
+       {"step", run.step},
+       {"faces", faces},
+       {"objects", objects},
+       {"megabytes", megabytes},
+       {"out", options.to}},
+      fmt::format("export: faces={} objects={} megabytes={:.1f} out={}", faces, objects, megabytes, options.to));
+  return 0;
+}
+
+int run(const ExportVerbOptions& options, AppContext& context) {
+  if (!options.to.empty()) return export_page(options, context);
+  if (options.out.empty())
+    throw Error(ErrorKind::usage, "usage.flag.missing", "neither --out nor --to",
+                "name a file or folder for labels with --out, or a page with --to scene.html");
+  OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
+  Session& s = run.session;
+  if (s.plan.class_of_logit.empty())
+    throw Error(ErrorKind::data, "run.semantics.none", options.run + ": the run has no semantics", "train with labels");
+  const std::vector<int> frames = s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
+  if (frames.empty())
+    throw Error(ErrorKind::data, "scene.split.empty", options.run + ": no frames in split '" + options.split + "'",
+                "see `semfield inspect`");
+  Exporter exporter(options, s);
+  {
+    ProgressLine progress(context, "exported");
+    for (const int f : frames) {
+      const auto part_done = [&](double share) {
+        progress.show(exporter.frames() + share, static_cast<double>(frames.size()));
+      };
+      exporter.add(f, part_done);
+    }
+  }
+  exporter.finish();
+  if (const std::string told = exporter.told(); !told.empty()) print_note(context, told);
+  print_results(context,
+                {{"run", options.run},
+                 {"step", run.step},
+                 {"split", options.split},
+                 {"frames", exporter.frames()},
+                 {"shapes", exporter.shapes()},
+                 {"format", options.format},
+                 {"out", options.out}},
+                fmt::format("export: frames={} shapes={} format={} out={}", exporter.frames(), exporter.shapes(),
+                            options.format, options.out));
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_export() {
+  return make_verb<ExportVerbOptions>(
+      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", run);
+}
+
+// classes: class tables from and to the forms of other tools.
+
+namespace {
+
+struct ClassesOptions : Options {
+  using Options::Options;
+  const std::string& in =
+      operand("table", "table (.yaml, .csv, .json, CVAT's .txt, ScanNet's .tsv), or nyu13, nyu40, scannet20");
+  const std::string& format =
+      choice("--format FORMAT", "yaml", {"yaml", "csv", "cvat"}, "form of the table that is written");
+  const std::string& ids =
+      choice("--ids IDS", "raw", {"raw", "nyu40", "nyu13"}, "ids to take from ScanNet's .tsv: raw, nyu40 or nyu13");
+  const std::string& colors = choice("--colors COLORS", "keep", {"keep", "pascal", "semfield"},
+                                     "keep them, or pascal (VOC's bit pattern) or semfield");
+  const std::string& out = value("--out FILE", "file to write (default: stdout)");
+};
+
+ClassTable table_of(const ClassesOptions& options) {
+  const bool is_tsv = std::filesystem::path(options.in).extension() == ".tsv";
+  if (options.ids != "raw" && !is_tsv) {
+    throw Error(ErrorKind::usage, "usage.flag.conflict",
+                "--ids " + options.ids + ": '" + options.in + "' is not a table of ScanNet",
+                "give scannetv2-labels.combined.tsv");
+  }
+  const std::vector<std::string> published = published_class_names();
+  if (std::find(published.begin(), published.end(), options.in) != published.end())
+    return published_classes(options.in);
+  if (is_tsv) {
+    return load_scannet_classes(options.in, options.ids == "raw"     ? ScannetIds::raw
+                                            : options.ids == "nyu40" ? ScannetIds::nyu40
+                                                                     : ScannetIds::nyu13);
+  }
+  return import_classes(options.in);
+}
+
+ClassTable recolored(const ClassTable& table, const std::string& colors) {
+  std::vector<ClassEntry> entries = table.entries();
+  for (ClassEntry& entry : entries) {
+    if (colors == "pascal") entry.color = pascal_color(entry.id);
+    if (colors == "semfield") entry.color = ClassTable::default_color(entry.id);
+  }
+  return ClassTable(std::move(entries));
+}
+
+Json classes_json(const ClassTable& table) {
+  Json classes = Json::array();
+  for (const ClassEntry& entry : table.entries()) {
+    char color[8];
+    std::snprintf(color, sizeof color, "#%02x%02x%02x", entry.color[0], entry.color[1], entry.color[2]);
+    classes.push_back({{"id", entry.id}, {"name", entry.name}, {"color", color}, {"ignored", entry.ignore}});
+  }
+  return classes;
+}
+
+int run(const ClassesOptions& options, AppContext& context) {
+  const ClassTable table = recolored(table_of(options), options.colors);
+  const std::string text = options.format == "yaml"  ? table.to_yaml()
+                           : options.format == "csv" ? to_class_csv(table)
+                                                     : to_cvat_labelmap(table);
+  if (!options.out.empty()) write_file_atomic(options.out, text);
+  if (context.json) {
+    Json out{{"classes", classes_json(table)}};
+    if (!options.out.empty()) out["file"] = options.out;
+    print_json(context, out);
+  } else if (options.out.empty()) {
+    std::fputs(text.c_str(), stdout);
+  } else {
+    std::printf("classes: %d classes, %zu entries, file=%s\n", table.valid_count(), table.entries().size(),
+                options.out.c_str());
+  }
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_classes() {
+  return make_verb<ClassesOptions>("classes", 140, "convert class tables from and to the formats of other tools", run);
 }
 
 }  // namespace semfield::app

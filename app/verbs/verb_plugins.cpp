@@ -1,4 +1,4 @@
-// plugins: lists, parameters, and laws checked in a process of their own, which a plugin may end.
+// What the program says of itself: its words, keys and plugins, and how well they hold and how fast they are.
 #include <fmt/format.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
@@ -12,20 +12,32 @@
 #include <cstring>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <string>
 
 #include "app/app_context.h"
+#include "app/bench/bench_studies.h"
 #include "app/child_process.h"
+#include "app/command_line.h"
 #include "app/json_output.h"
+#include "app/numerics_suite.h"
 #include "app/verb.h"
+#include "config/compose.h"
+#include "config/explain.h"
 #include "config/params.h"
+#include "config/schema.h"
 #include "core/error.h"
 #include "execution/device_library.h"
 #include "plugin/loader.h"
 #include "plugin/reference.h"
+#include "report/sweep.h"
 #include "session/assembly.h"
+#include "session/settings/run_config.h"
+#include "session/settings/run_identity.h"
+#include "system/files.h"
 #include "system/process.h"
 
 namespace semfield {
@@ -33,6 +45,8 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(LawRow, kind, name, settings, build, status, 
 }
 
 namespace semfield::app {
+
+// plugins: lists, parameters, and laws checked in a process of their own, which a plugin may end.
 
 namespace {
 
@@ -328,6 +342,427 @@ Verb verb_plugins_list() {
 
 Verb verb_plugins_show() {
   return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", run);
+}
+
+// config: a configuration read as a run would, explained, compared, and the schema of all.
+
+namespace {
+
+// config check: every error reported.
+
+struct ConfigWords : Options {
+  using Options::Options;
+  const std::string& config = operand("config", "configuration file (YAML)");
+  const std::vector<std::string>& set = settings();
+};
+
+int check(const ConfigWords& options, AppContext& context) {
+  load_run_config(options.config, options.set, context.registry);
+  print_results(context, {{"config", options.config}, {"errors", 0}}, options.config + ": no errors");
+  return 0;
+}
+
+// config diff: what differs between two configurations.
+
+struct DiffOptions : Options {
+  using Options::Options;
+  const std::string& a = operand("config_a", "configuration file (YAML), such as a run.yaml");
+  const std::string& b = operand("config_b", "the other one");
+};
+
+int run(const DiffOptions& options, AppContext& context) {
+  const RunConfig first = load_run_config(options.a, {}, context.registry);
+  const RunConfig second = load_run_config(options.b, {}, context.registry);
+  const std::vector<ConfigDifference> found = config_differences(resolved_config(first), resolved_config(second));
+  if (context.json) {
+    Json differences = Json::array();
+    for (const ConfigDifference& d : found)
+      differences.push_back(
+          {{"key", d.key}, {"a", d.left}, {"b", d.right}, {"other_training", is_part_of_identity(d.key)}});
+    print_json(context, {{"differences", differences}});
+    return 0;
+  }
+  for (const ConfigDifference& d : found)
+    std::printf("%s%s\n", d.text().c_str(), is_part_of_identity(d.key) ? "" : "   # the same training");
+  return 0;
+}
+
+// config explain: the final tree, with where each value comes from.
+
+// What stands as `auto` is settled when a session opens; each such setting's sentence, as comments below the tree.
+std::string open_choices(const ConfigNode& tree) {
+  std::string out;
+  const std::vector<ConfigSetting> settings = config_settings(tree);
+  for (const SchemaSection& section : describe_sections()) {
+    for (const ParamDoc& param : section.params) {
+      const std::string key = section.path + "." + param.name;
+      const bool open = std::any_of(settings.begin(), settings.end(),
+                                    [&](const ConfigSetting& s) { return s.key == key && s.value == "auto"; });
+      if (open) out += "# " + key + " is auto: " + param.help + "\n";
+    }
+  }
+  return out;
+}
+
+int explain(const ConfigWords& options, AppContext& context) {
+  const ConfigNode written = compose_config(options.config, options.set);
+  const RunConfig config = load_run_config(options.config, options.set, context.registry);
+  const ConfigNode tree = with_origins(resolved_config(config), written);
+  if (context.json) {
+    Json settings = Json::array();
+    for (const ConfigSetting& setting : config_settings(tree))
+      settings.push_back({{"key", setting.key}, {"value", setting.value}, {"from", setting.from}});
+    print_json(context, {{"settings", settings}});
+    return 0;
+  }
+  std::fputs((explain_config(tree) + open_choices(tree)).c_str(), stdout);
+  return 0;
+}
+
+// config schema: the JSON schema of configurations, or of sweep files.
+
+struct SchemaOptions : Options {
+  using Options::Options;
+  const bool& of_sweeps = flag("--sweep", "print the schema of sweep files instead");
+};
+
+std::vector<SchemaSection> alternatives(const Registry& registry, PluginKind kind) {
+  std::vector<SchemaSection> out;
+  for (const PluginEntry* entry : registry.entries()) {
+    if (entry->kind != kind) continue;
+    const std::unique_ptr<PluginParams> params = entry->new_params();
+    out.push_back(
+        {entry->name, entry->summary, describe_params([&](ParamVisitor& visit) { params->describe(visit); })});
+  }
+  return out;
+}
+
+int run(const SchemaOptions& options, AppContext& context) {
+  if (options.of_sweeps) {
+    std::fputs(sweep_schema().c_str(), stdout);
+    return 0;
+  }
+  std::vector<SchemaSection> sections = describe_sections();
+  const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
+  const ParamDoc base{"base_dir",
+                      "text",
+                      "",
+                      "",
+                      "folder at which relative paths start that come from no file; default: the working folder",
+                      {}};
+  const ParamDoc plugins{
+      "plugins",
+      "list of text",
+      "[]",
+      "",
+      "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
+      {}};
+  sections.push_back({"", "", {name, base, plugins}});
+  const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
+  const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
+  sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
+  const auto slot = [&](const char* path, const char* sentence, PluginKind kind) {
+    sections.push_back({path, sentence, {}, false, alternatives(context.registry, kind)});
+  };
+  slot("losses[]", "terms of the loss in addition to colour and semantics; each type once", PluginKind::loss);
+  slot("heads[]", "heads in addition to that of class logits", PluginKind::head);
+  slot("heads[].branch.position", "position encoder of the head's branch", PluginKind::encoder);
+  slot("heads[].branch.field", "network of the head's branch", PluginKind::field);
+  slot("scene.labels.from", "label files to train on instead of the dataset's own labels", PluginKind::label_reader);
+  slot("scene.labels.degrade[]", "changes of the training labels, in order", PluginKind::degradation);
+  slot("objects.method", "what `semfield objects` learns from segments", PluginKind::grouping);
+  slot("scene", "where frames come from", PluginKind::dataset);
+  slot("passes[].sampler", "where along a ray the field is evaluated", PluginKind::sampler);
+  slot("passes[].position", "position encoder", PluginKind::encoder);
+  slot("passes[].direction", "direction encoder; leave it out for a view-independent field", PluginKind::encoder);
+  slot("passes[].field", "the network", PluginKind::field);
+  slot("passes[].semantic.position", "position encoder of the semantic branch", PluginKind::encoder);
+  slot("passes[].semantic.field", "network of the semantic branch", PluginKind::field);
+  std::fputs(json_schema_of("Semfield configuration", sections).c_str(), stdout);
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
+
+Verb verb_config_check() {
+  return make_verb<ConfigWords>("config check", 10, "read a configuration and report every error", check);
+}
+
+Verb verb_config_diff() {
+  return make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", run);
+}
+
+Verb verb_config_explain() {
+  return make_verb<ConfigWords>("config explain", 20, "print the final tree, with the origin of every value", explain);
+}
+
+Verb verb_config_schema() {
+  return without_json(make_verb<SchemaOptions>("config schema", 40,
+                                               "print a JSON schema of configurations (and --plugin modules)", run));
+}
+
+// help and completion: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.
+
+namespace {
+
+struct HelpOptions : Options {
+  explicit HelpOptions(const Declaration& at) : Options(at) { excludes("--pages", "VERB"); }
+  const std::vector<std::string>& verb =
+      operands("[verb]", "verb, such as: train, config check (default: the list of all verbs)", words_of_verbs());
+  const std::string& pages =
+      value("--pages FOLDER",
+            "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
+};
+
+// Tables of every section of a configuration, under headings of their own.
+std::string section_tables() {
+  std::string text;
+  for (const SchemaSection& section : describe_sections())
+    text +=
+        "### `" + section.path + "`: " + section.sentence + "\n\n" + parameter_table_markdown(section.params) + "\n";
+  return text;
+}
+
+// Pages of the program's own words: verbs and plugins whole, and tables where a page has their mark.
+void write_pages(const fs::path& root, const AppContext& context) {
+  if (!fs::is_directory(root / "plugins"))
+    throw Error(ErrorKind::no_input, "files.folder.missing", "--pages " + root.string() + ": it has no folder plugins",
+                "name a copy of the pages of the source tree");
+  const fs::path reference = root / "docs" / "reference";
+  fs::create_directories(reference);
+  write_file_atomic((reference / "plugins.md").string(), plugins_markdown(context.registry));
+  write_file_atomic((reference / "verbs.md").string(), verbs_page());
+  int filled = 0;
+  const auto fill = [&filled](const fs::path& path, const std::string& mark, const std::string& part) {
+    std::string text = fs::exists(path) ? read_text_file(path.string()) : "";
+    const std::size_t at = text.find(mark);
+    if (at == std::string::npos) return;
+    write_file_atomic(path.string(), text.replace(at, mark.size(), part));
+    ++filled;
+  };
+  fill(reference / "configuration.md", "<!-- sections -->\n", section_tables());
+  for (const PluginEntry* entry : context.registry.entries()) {
+    for (const char* tree : {"framework", "plugins"})
+      fill(root / tree / kind_folder(entry->kind) / entry->name / "README.md", "<!-- parameters -->\n",
+           parameter_table_markdown(*entry));
+  }
+  print_note(context,
+             "verbs.md and plugins.md written, " + std::to_string(filled) + " tables filled under " + root.string());
+}
+
+int run(const HelpOptions& options, AppContext& context) {
+  if (options.pages.empty()) {
+    std::fputs(help_of(options.verb).c_str(), stdout);
+  } else {
+    write_pages(options.pages, context);
+  }
+  return 0;
+}
+
+// What shells read. It runs the program at each TAB: `semfield completion --of WORDS`.
+
+struct CompletionOptions : Options {
+  using Options::Options;
+  const std::string& shell = operand("shell", "bash or zsh", {"bash", "zsh"});
+};
+
+constexpr const char* kBash = R"(# bash completion of semfield, made by `semfield completion bash`
+_semfield() {
+  local kind word rest
+  COMPREPLY=()
+  {
+    read -r kind
+    while IFS=$'\t' read -r word rest; do COMPREPLY+=("$word"); done
+  } < <("${COMP_WORDS[0]}" completion --of "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null)
+  local cur=${COMP_WORDS[COMP_CWORD]}
+  [[ $cur != = ]] || cur=
+  case $kind in
+    files) compopt -o filenames 2>/dev/null; mapfile -t -O ${#COMPREPLY[@]} COMPREPLY < <(compgen -f -- "$cur") ;;
+    folders) compopt -o filenames 2>/dev/null; mapfile -t -O ${#COMPREPLY[@]} COMPREPLY < <(compgen -d -- "$cur") ;;
+    list) compopt -o nospace 2>/dev/null ;;
+  esac
+}
+complete -F _semfield semfield
+)";
+
+constexpr const char* kZsh = R"(#compdef semfield
+# zsh completion of semfield, made by `semfield completion zsh`
+_semfield() {
+  local -a lines values shown end
+  local line kind
+  lines=("${(@f)$($words[1] completion --of "${(@)words[2,CURRENT]}" 2>/dev/null)}")
+  kind=$lines[1]
+  for line in ${lines[2,-1]}; do
+    values+=("${line%%$'\t'*}")
+    shown+=("${line%%$'\t'*}${${line#*$'\t'}:+  -- ${line#*$'\t'}}")
+  done
+  [[ $kind != list ]] || end=(-S '')
+  (( $#values )) && compadd $end -l -d shown -- $values
+  [[ $kind != (files|folders) ]] || compset -P '--*='
+  case $kind in
+    files) _files ;;
+    folders) _files -/ ;;
+  esac
+}
+# Loaded from a folder of functions it completes at once; read by `source` it makes itself known.
+if [[ $funcstack[1] == _semfield ]]; then
+  _semfield "$@"
+else
+  compdef _semfield semfield
+fi
+)";
+
+int run(const CompletionOptions& options, AppContext&) {
+  std::fputs(options.shell == "bash" ? kBash : kZsh, stdout);
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", run)); }
+
+Verb verb_completion() {
+  return without_json(make_verb<CompletionOptions>("completion", 220,
+                                                   "print a script that completes verbs and options in a shell", run));
+}
+
+// check-numerics: the stiff and extreme cases as a table or a JSON object.
+
+namespace {
+
+struct CheckNumericsOptions : Options {
+  using Options::Options;
+  const std::vector<std::string>& only = list("--only LIST", "case ids or prefixes of them: --only A,C03");
+};
+
+// By case: failed in one precision is failed; absent only when no precision of it exists.
+std::map<NumericsStatus, int> count_cases(const std::vector<NumericsRow>& rows) {
+  std::map<std::string, std::set<NumericsStatus>> cases;
+  for (const NumericsRow& row : rows) cases[row.id].insert(row.status);
+  std::map<NumericsStatus, int> counts{
+      {NumericsStatus::passed, 0}, {NumericsStatus::failed, 0}, {NumericsStatus::absent, 0}};
+  for (const auto& [id, of] : cases) {
+    ++counts[of.contains(NumericsStatus::failed)   ? NumericsStatus::failed
+             : of.contains(NumericsStatus::passed) ? NumericsStatus::passed
+                                                   : NumericsStatus::absent];
+  }
+  return counts;
+}
+
+const char* status_text(const NumericsRow& row) {
+  switch (row.status) {
+    case NumericsStatus::passed:
+      return "passed";
+    case NumericsStatus::absent:
+      return "absent";
+    case NumericsStatus::failed:
+      break;
+  }
+  return row.known_failure.empty() ? "FAILED" : "FAILED (known)";
+}
+
+std::string number(const NumericsRow& row, double value) {
+  if (row.status == NumericsStatus::absent) return "-";
+  if (row.error == 0 && row.tolerance == 0) return "exact";
+  return value == 0 ? "0" : fmt::format("{:.2g}", value);
+}
+
+std::string time_text(double seconds) {
+  return seconds >= 1 ? fmt::format("{:.2f} s", seconds) : fmt::format("{:.2f} ms", 1e3 * seconds);
+}
+
+void print_table(const std::vector<NumericsRow>& rows) {
+  std::printf("%-4s %-22s %-8s %-18s %9s %9s %7s %10s  %s\n", "id", "case", "", "reference", "error", "allowed",
+              "checks", "time", "status");
+  for (const NumericsRow& row : rows) {
+    std::printf("%-4s %-22s %-8s %-18s %9s %9s %7d %10s  %s\n", row.id.c_str(), row.name.c_str(), row.precision.c_str(),
+                row.reference.c_str(), number(row, row.error).c_str(), number(row, row.tolerance).c_str(), row.checks,
+                time_text(row.seconds).c_str(), status_text(row));
+    if (row.status == NumericsStatus::failed) std::printf("     %s\n", row.note.c_str());
+    if (row.status == NumericsStatus::failed && !row.known_failure.empty()) {
+      std::printf("     known: %s\n", row.known_failure.c_str());
+    }
+  }
+}
+
+Json results(const std::vector<NumericsRow>& rows, int passed, int failed, int absent) {
+  Json out = {{"passed", passed}, {"failed", failed}, {"absent", absent}, {"cases", passed + failed + absent}};
+  out["rows"] = Json::array();
+  for (const NumericsRow& row : rows) {
+    out["rows"].push_back({{"id", row.id},
+                           {"name", row.name},
+                           {"precision", row.precision},
+                           {"what", row.what},
+                           {"reference", row.reference},
+                           {"error", row.error},
+                           {"tolerance", row.tolerance},
+                           {"checks", row.checks},
+                           {"seconds", row.seconds},
+                           {"status", status_text(row)},
+                           {"note", row.note},
+                           {"known_failure", row.known_failure}});
+  }
+  return out;
+}
+
+int run(const CheckNumericsOptions& options, AppContext& context) {
+  const auto suite = reinterpret_cast<NumericsSuite>(
+      part_symbol("semfield_numerics", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded"));
+  std::vector<NumericsRow> rows;
+  suite(context.registry, options.only, rows);
+  const std::map<NumericsStatus, int> counts = count_cases(rows);
+  const int passed = counts.at(NumericsStatus::passed), failed = counts.at(NumericsStatus::failed);
+  const int absent = counts.at(NumericsStatus::absent);
+  if (context.json) {
+    print_json(context, results(rows, passed, failed, absent));
+  } else {
+    print_table(rows);
+    std::printf("check-numerics: passed=%d failed=%d cases=%d%s\n", passed, failed, passed + failed + absent,
+                absent > 0 ? fmt::format(" absent={}", absent).c_str() : "");
+  }
+  return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+}  // namespace
+
+Verb verb_check_numerics() {
+  return make_verb<CheckNumericsOptions>("check-numerics", 190,
+                                         "check stiff and extreme cases against their references", run);
+}
+
+// bench: whole training steps, timed by studies that are a library of their own.
+
+namespace {
+
+// Most runs of the program do without the library. Throws Error(unavailable) where it is missing, naming what to build.
+template <class Options>
+int run_study(const char* symbol, const Options& options, AppContext& context) {
+  using Study = int (*)(const Options&, AppContext&);
+  const auto study =
+      reinterpret_cast<Study>(part_symbol("semfield_bench", symbol, "the studies of `bench` cannot be loaded"));
+  return study(options, context);
+}
+
+int run(const BenchGpuOptions& options, AppContext& context) {
+  return run_study("semfield_bench_gpu", options, context);
+}
+
+int run(const BenchStepOptions& options, AppContext& context) {
+  return run_study("semfield_bench_step", options, context);
+}
+
+}  // namespace
+
+Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
+
+Verb verb_bench_gpu() {
+  return make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", run);
+}
+
+Verb verb_bench_step() {
+  return make_verb<BenchStepOptions>("bench step", 30, "time whole training steps, next to the machine's limits", run);
 }
 
 }  // namespace semfield::app
