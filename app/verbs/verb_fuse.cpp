@@ -324,10 +324,7 @@ constexpr long long kPageFaces = 2'000'000;      // about 20 MB
 constexpr std::int64_t kPixelsOfARegion = 4096;  // of an image, for one of the least region that stands by itself
 
 // The stored image of a frame, "" when its dataset has none.
-std::string image_of(const FrameInfo& info) {
-  std::error_code ignored;
-  return std::filesystem::is_regular_file(info.source, ignored) ? info.source : std::string();
-}
+std::string image_of(const FrameInfo& info) { return is_file(info.source) ? info.source : std::string(); }
 
 // What a frame's labels are rendered at, and what becomes of them.
 class Exporter {
@@ -430,8 +427,7 @@ int export_page(const ExportVerbOptions& options, AppContext& context) {
   }
   const std::filesystem::path file(options.to);
   if (file.has_parent_path()) create_folders(file.parent_path().string());
-  const ScenePage page =
-      scene_page_of(run.session, run.run_dir, run.step, upright_of(run.session).value_or(Vec3d{0, 1, 0}));
+  const ScenePage page = scene_page_of(run.session, run.run_dir, run.step);
   write_scene_page(options.to, found.surface, run.session.scene.info.classes, page);
   const std::size_t objects = page.objects ? page.objects->rows.size() : 0;
   const double megabytes = static_cast<double>(std::filesystem::file_size(file)) * 1e-6;

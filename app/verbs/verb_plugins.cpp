@@ -36,7 +36,7 @@
 #include "report/sweep.h"
 #include "session/assembly.h"
 #include "session/settings/run_config.h"
-#include "session/settings/run_identity.h"
+#include "session/settings/choices.h"
 #include "system/files.h"
 #include "system/process.h"
 
@@ -426,59 +426,12 @@ struct SchemaOptions : Options {
   const bool& of_sweeps = flag("--sweep", "print the schema of sweep files instead");
 };
 
-std::vector<SchemaSection> alternatives(const Registry& registry, PluginKind kind) {
-  std::vector<SchemaSection> out;
-  for (const PluginEntry* entry : registry.entries()) {
-    if (entry->kind != kind) continue;
-    const std::unique_ptr<PluginParams> params = entry->new_params();
-    out.push_back(
-        {entry->name, entry->summary, describe_params([&](ParamVisitor& visit) { params->describe(visit); })});
-  }
-  return out;
-}
-
 int run(const SchemaOptions& options, AppContext& context) {
   if (options.of_sweeps) {
     std::fputs(sweep_schema().c_str(), stdout);
     return 0;
   }
-  std::vector<SchemaSection> sections = describe_sections();
-  const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
-  const ParamDoc base{"base_dir",
-                      "text",
-                      "",
-                      "",
-                      "folder at which relative paths start that come from no file; default: the working folder",
-                      {}};
-  const ParamDoc plugins{
-      "plugins",
-      "list of text",
-      "[]",
-      "",
-      "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
-      {}};
-  sections.push_back({"", "", {name, base, plugins}});
-  const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
-  const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
-  sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
-  const auto slot = [&](const char* path, const char* sentence, PluginKind kind) {
-    sections.push_back({path, sentence, {}, false, alternatives(context.registry, kind)});
-  };
-  slot("losses[]", "terms of the loss in addition to colour and semantics; each type once", PluginKind::loss);
-  slot("heads[]", "heads in addition to that of class logits", PluginKind::head);
-  slot("heads[].branch.position", "position encoder of the head's branch", PluginKind::encoder);
-  slot("heads[].branch.field", "network of the head's branch", PluginKind::field);
-  slot("scene.labels.from", "label files to train on instead of the dataset's own labels", PluginKind::label_reader);
-  slot("scene.labels.degrade[]", "changes of the training labels, in order", PluginKind::degradation);
-  slot("objects.method", "what `semfield objects` learns from segments", PluginKind::grouping);
-  slot("scene", "where frames come from", PluginKind::dataset);
-  slot("passes[].sampler", "where along a ray the field is evaluated", PluginKind::sampler);
-  slot("passes[].position", "position encoder", PluginKind::encoder);
-  slot("passes[].direction", "direction encoder; leave it out for a view-independent field", PluginKind::encoder);
-  slot("passes[].field", "the network", PluginKind::field);
-  slot("passes[].semantic.position", "position encoder of the semantic branch", PluginKind::encoder);
-  slot("passes[].semantic.field", "network of the semantic branch", PluginKind::field);
-  std::fputs(json_schema_of("Semfield configuration", sections).c_str(), stdout);
+  std::fputs(json_schema_of("Semfield configuration", describe_sections(&context.registry)).c_str(), stdout);
   return 0;
 }
 

@@ -338,7 +338,7 @@ std::string typed_program() {
 bool is_demo(const std::string& folder) {
   const std::string file = (fs::path(folder) / "run.yaml").string();
   std::error_code unknown;
-  if (!fs::exists(file, unknown)) return false;
+  if (!is_there(file)) return false;
   const ConfigNode tree = parse_config_file(file);
   const ConfigNode* name = tree.find("name");
   const ConfigNode* scene = tree.find("scene");

@@ -24,7 +24,7 @@
 #include "run/run.h"
 #include "run/run_folder.h"
 #include "run/run_scores.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "system/files.h"
 
 namespace semfield::app {
