@@ -91,7 +91,7 @@ std::int64_t first_fault_row(Stage stage) {
 int multiprocessors() {
   int value = 0;
   check(cudaDeviceGetAttribute(&value, cudaDevAttrMultiProcessorCount, t_launch.ordinal), "asking for multiprocessors");
-  return std::max(1, value / t_launch.beside);
+  return value;
 }
 
 std::byte* allocate(std::size_t bytes, const char* what) {

@@ -64,11 +64,8 @@ struct Launch {
   /// Rows of the batch that are in use, in device memory (a sampler's count); null: all. Rows behind it hold finite
   /// numbers and get gradient 0, so a kernel may compute or leave them.
   const std::int32_t* live_rows = nullptr;
-  /// Bits of the largest |dy| that an encoder's backward gets, in device memory (kernels/kernels.h); null: it looks.
-  const std::uint32_t* largest = nullptr;
   bool check_at_once = false;  ///< first_fault_row waits for the device and tells; false: it says -1 at once
   bool deterministic = false;  ///< sums in a fixed order, whatever it costs
-  int beside = 1;              ///< streams that share the device, this one among them: see multiprocessors()
 };
 
 /// The launch of the calling thread.
@@ -100,7 +97,7 @@ inline unsigned blocks_of(std::int64_t count, int threads) {
   return static_cast<unsigned>((count + threads - 1) / threads);
 }
 
-/// Multiprocessors of the launch's device, divided by launch().beside: what a kernel that fills the device may fill.
+/// Multiprocessors of the launch's device.
 int multiprocessors();
 
 // Device memory: arenas, buffers, and what to say when there is none left.

@@ -14,9 +14,8 @@ std::int64_t padded(std::int64_t count) { return (count + kAlignElements - 1) / 
 
 }  // namespace
 
-Store::Store(ParamStore<float>& host, bool trainable, int lanes)
-    : host_(host), trainable_(trainable), lane_count_(trainable ? lanes : 0) {
-  std::int64_t values = 0, learned = 0, derived = 0, of_lane = 0;
+Store::Store(ParamStore<float>& host, bool trainable) : host_(host), trainable_(trainable) {
+  std::int64_t values = 0, learned = 0, derived = 0;
   for (const Tensor<float>& t : host.all()) {
     Place place;
     place.value = values;
@@ -27,10 +26,6 @@ Store::Store(ParamStore<float>& host, bool trainable, int lanes)
     } else if (t.spec.role == TensorRole::derived) {
       place.learned = derived;
       derived += padded(t.size());
-    }
-    if (has_gradient(t.spec.role) && t.spec.role != TensorRole::sparse) {
-      place.of_lane = of_lane;
-      of_lane += padded(t.size());
     }
     places_.push_back(place);
   }
@@ -50,23 +45,6 @@ Store::Store(ParamStore<float>& host, bool trainable, int lanes)
   }
   learned_table_ = Buffer<AdamTensor<float>>(table.size(), "table of tensors");
   cuda::upload<AdamTensor<float>>(table, learned_table_.data());
-  make_lanes(of_lane);
-  synchronize();
-}
-
-void Store::make_lanes(std::int64_t numbers) {
-  if (lane_count_ == 0) return;
-  lane_numbers_ = static_cast<std::size_t>(numbers);
-  lanes_ = Buffer<float>(static_cast<std::size_t>(lane_count_) * lane_numbers_, "gradients of shards");
-  std::vector<ShardTensor> table;
-  for (std::size_t i = 0; i < places_.size(); ++i) {
-    if (places_[i].of_lane == kNone) continue;
-    const std::int64_t count = padded(host_.all()[i].size());
-    table.push_back({places_[i].of_lane, count, grad_of(i).data});
-    longest_in_lane_ = std::max(longest_in_lane_, count);
-  }
-  lane_table_ = Buffer<ShardTensor>(table.size(), "table of the shards' gradients");
-  cuda::upload<ShardTensor>(table, lane_table_.data());
   synchronize();
 }
 
@@ -82,12 +60,6 @@ View<float> Store::grad_of(std::size_t tensor) const {
   return {block + places_[tensor].learned, spec.rows, spec.cols, spec.cols, Device::cuda};
 }
 
-View<float> Store::lane_grad_of(std::size_t tensor, int number) const {
-  const TensorSpec& spec = host_.all()[tensor].spec;
-  if (places_[tensor].of_lane == kNone) return grad_of(tensor);
-  return {lane(number) + places_[tensor].of_lane, spec.rows, spec.cols, spec.cols, Device::cuda};
-}
-
 View<float> Store::moment_of(const Buffer<float>& moments, std::size_t tensor) const {
   const TensorSpec& spec = host_.all()[tensor].spec;
   return {moments.data() + places_[tensor].learned, spec.rows, spec.cols, spec.cols, Device::cuda};
@@ -95,7 +67,7 @@ View<float> Store::moment_of(const Buffer<float>& moments, std::size_t tensor) c
 
 int Store::add(const std::string&, const Parametric<float>& part, const LearningRule&) {
   Component component;
-  component.grads.resize(1 + static_cast<std::size_t>(lane_count_));
+  component.grads.resize(1);
   for (const TensorSpec& spec : specs_of(part)) {
     // What a CPU's kernels read in another order no device has.
     while (next_ < host_.all().size() && host_.all()[next_].spec.role == TensorRole::rearranged &&
@@ -107,8 +79,6 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
                    "tensor '" + spec.name + "' differs on host and device");
     component.values.push_back(value_of(next_));
     component.grads[0].push_back(grad_of(next_));
-    for (int l = 0; l < lane_count_; ++l)
-      component.grads[1 + static_cast<std::size_t>(l)].push_back(lane_grad_of(next_, l));
     if (trainable_ && host_.all()[next_].learned())
       gradients_added_ = static_cast<std::size_t>(places_[next_].learned + padded(host_.all()[next_].size()));
     ++next_;
@@ -176,16 +146,6 @@ void Store::zero_derived_gradients() const {
   if (derived_grads_.size() == 0) return;
   check(cudaMemsetAsync(derived_grads_.data(), 0, derived_grads_.size() * sizeof(float), launch().stream),
         "clearing gradients");
-}
-
-void Store::clear_lanes() const {
-  check(cudaMemsetAsync(lanes_.data(), 0, lanes_.size() * sizeof(float), launch().stream), "clearing gradients");
-}
-
-void Store::add_lanes() const {
-  std::array<const float*, kShards> block{};
-  for (int s = 0; s < kShards; ++s) block[static_cast<std::size_t>(s)] = lane(s);
-  add_shards({lane_table_.data(), static_cast<int>(lane_table_.size()), longest_in_lane_}, block);
 }
 
 void Store::clear_gradients() const {

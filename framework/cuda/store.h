@@ -6,16 +6,14 @@
 #include <vector>
 
 #include "cuda/launch.h"
-#include "cuda/ranks/shard_sums.h"
 #include "model/param_store.h"
 
 namespace semfield::cuda {
 
-/// Mirrors `host`, which it borrows. Gradients are zero between steps. Its lanes are blocks of gradients of shards, of
-/// every tensor but those that are sparse, which have the main gradient alone.
+/// Mirrors `host`, which it borrows. Gradients are zero between steps.
 class Store final : public TensorStore<float> {
  public:
-  Store(ParamStore<float>& host, bool trainable, int lanes = 0);
+  Store(ParamStore<float>& host, bool trainable);
 
   /// The next component's tensors, in the order in which parts were added to the host's store; throws Error(internal)
   /// where `part` declares others.
@@ -27,12 +25,6 @@ class Store final : public TensorStore<float> {
   /// components have that were added until now.
   std::span<float> gradients() const { return {grads_.data(), grads_.size()}; }
   std::size_t gradients_added() const { return gradients_added_; }
-
-  /// The gradients of lane `number`.
-  float* lane(int number) const { return lanes_.data() + static_cast<std::size_t>(number) * lane_numbers_; }
-  void clear_lanes() const;
-  /// Main gradients += those of the lanes of all shards, as a tree.
-  void add_lanes() const;
 
   /// Values and moments to the device and back, of all tensors or of those that labels shape alone.
   void upload(bool semantic = false);
@@ -51,17 +43,13 @@ class Store final : public TensorStore<float> {
 
  private:
   struct Place {
-    std::int64_t value = 0;        // offset in values_
-    std::int64_t learned = 0;      // offset in grads_, moment1_ and moment2_; of derived tensors in derived_grads_
-    std::int64_t of_lane = kNone;  // offset in a lane
+    std::int64_t value = 0;    // offset in values_
+    std::int64_t learned = 0;  // offset in grads_, moment1_ and moment2_; of derived tensors in derived_grads_
   };
-  static constexpr std::int64_t kNone = -1;
-  void make_lanes(std::int64_t numbers);
   void send(std::size_t tensor);
   void fetch(std::size_t tensor) const;
   View<float> value_of(std::size_t tensor) const;
   View<float> grad_of(std::size_t tensor) const;
-  View<float> lane_grad_of(std::size_t tensor, int lane) const;
   View<float> moment_of(const Buffer<float>& moments, std::size_t tensor) const;
 
   ParamStore<float>& host_;
@@ -69,11 +57,6 @@ class Store final : public TensorStore<float> {
   std::vector<Place> places_;
   Buffer<float> values_, grads_, derived_grads_, moment1_, moment2_;
   Buffer<AdamTensor<float>> learned_table_, semantic_table_;
-  int lane_count_;
-  std::size_t lane_numbers_ = 0;
-  Buffer<float> lanes_;
-  Buffer<ShardTensor> lane_table_;
-  std::int64_t longest_in_lane_ = 0;
   std::size_t gradients_added_ = 0;
   std::size_t next_ = 0;  // tensor of the host's store that the next component begins with
 };

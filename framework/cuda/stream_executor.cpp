@@ -44,17 +44,17 @@ bool has_finite_rays(const PixelPool& pool) {
   });
 }
 
-// What steps leave, read when they are waited for: sums of shards and ranks to losses, and faults.
+// What steps leave, read when they are waited for: sums of ranks to losses, and faults.
 
-// In order, so that the sum does not depend on which rank had the shard.
-void add(LossSums& sum, const LossSums& shard) {
-  sum.squares += shard.squares;
-  sum.semantic += shard.semantic;
-  for (std::size_t i = 0; i < kMostLossTerms; ++i) sum.terms[i] += shard.terms[i];
-  sum.labelled += shard.labelled;
-  sum.correct += shard.correct;
-  sum.samples += shard.samples;
-  sum.dense |= shard.dense;
+// In the order of ranks.
+void add(LossSums& sum, const LossSums& part) {
+  sum.squares += part.squares;
+  sum.semantic += part.semantic;
+  for (std::size_t i = 0; i < kMostLossTerms; ++i) sum.terms[i] += part.terms[i];
+  sum.labelled += part.labelled;
+  sum.correct += part.correct;
+  sum.samples += part.samples;
+  sum.dense |= part.dense;
 }
 
 // The semantic part at points of space: what it reads there, its logits, and steps of learning from points.
@@ -98,7 +98,7 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   check(cudaEventCreateWithFlags(&forked_, cudaEventDisableTiming), "making an event");
   check(cudaEventCreateWithFlags(&joined_, cudaEventDisableTiming), "making an event");
   const LaunchScope on_stream(step_launch());
-  store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::lanes_of(options));
+  store_ = std::make_unique<Store>(host.store(), options.trainable);
   passes_.reserve(parts.size());
   store_->freeze(host.options().cameras.alone);
   std::vector<std::size_t> ends;
@@ -112,12 +112,6 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
     ends.back() = store_->gradients_added();
   }
   sums_ = std::make_unique<GradientSums>(options, store_->gradients(), std::move(ends));
-  const auto [first, last] = sums_->own();
-  for (int s = first; s < last && GradientSums::lanes_of(options) > 0; ++s) {
-    Track& track = tracks_.emplace_back();
-    check(cudaStreamCreateWithFlags(&track.stream, cudaStreamNonBlocking), "making a stream");
-    check(cudaEventCreateWithFlags(&track.walked, cudaEventDisableTiming), "making an event");
-  }
   render_fault_ = Buffer<FaultKey>(1, "fault of a call");
   const std::vector<float>& weight = host.options().class_weight;
   class_weight_ = Buffer<float>(weight.size(), "class weights");
@@ -132,23 +126,14 @@ StreamExecutor::~StreamExecutor() {
   (void)cudaStreamSynchronize(stream_);
   (void)cudaEventDestroy(joined_);
   (void)cudaEventDestroy(forked_);
-  std::vector<cudaStream_t> streams{beside_, stream_};
-  for (const Track& track : tracks_) {
-    (void)cudaEventDestroy(track.walked);
-    streams.push_back(track.stream);
-  }
-  for (const cudaStream_t stream : streams) {
+  for (const cudaStream_t stream : {beside_, stream_}) {
     (void)cudaStreamSynchronize(stream);
     cuda::forget_stream(stream);
     (void)cudaStreamDestroy(stream);
   }
 }
 
-std::int64_t StreamExecutor::growths() const {
-  std::int64_t all = train_arena_.growth_count() + beside_arena_.growth_count();
-  for (const Track& track : tracks_) all += track.arena.growth_count();
-  return all;
-}
+std::int64_t StreamExecutor::growths() const { return train_arena_.growth_count() + beside_arena_.growth_count(); }
 
 std::string StreamExecutor::description() const { return describe_device(options_.ordinal); }
 
@@ -202,7 +187,7 @@ void StreamExecutor::forget_graphs() {
 }
 
 std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
-  return std::max<std::int64_t>(1, shard_of(rays, 0, sums_->shards()).count);
+  return std::max<std::int64_t>(1, rays_of(rays, 0, sums_->ranks()).count);
 }
 
 StreamExecutor::Shape& StreamExecutor::known_shape(std::int64_t semantic_rays, std::uint32_t terms) {
@@ -290,10 +275,8 @@ void StreamExecutor::drop_gradients() {
 // Memory for the step, and its way to the device.
 StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayBatch& batch, const BatchScales& scales,
                                              const std::byte* drawn) {
-  const auto [first, last] = sums_->own();
-  const std::int64_t begin = shard_of(batch.origin.rows, first, sums_->shards()).begin;
-  const RayRange end = shard_of(batch.origin.rows, last - 1, sums_->shards());
-  const RayBatch own = batch.rows(begin, end.begin + end.count - begin);
+  const RayRange part = sums_->own(batch.origin.rows);
+  const RayBatch own = batch.rows(part.begin, part.count);
   if (!staging_ || rays_ != batch.origin.rows || !staging_->fits(own)) {
     SEMFIELD_CHECK(queued_.empty(), "batches of one size are queued together");
     forget_graphs();
@@ -302,23 +285,14 @@ StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayB
     rays_ = batch.origin.rows;
     color_normaliser_ = color_normaliser(batch);
     const bool leaves_room =
-        passes_.size() == 1 && tracks_.empty() && passes_.front().parts().sampler->traits().keeps_to_room;
+        passes_.size() == 1 && !options_.deterministic && passes_.front().parts().sampler->traits().keeps_to_room;
     room_.begin(leaves_room ? own.origin.rows * host_.per_ray().front() : 0);
   }
-  // Memory that a step of this batch needs beside the arenas.
-  if (!tracks_.empty()) rows_.resize(passes_.size());
-  for (std::size_t p = 0; p < rows_.size(); ++p) {
-    if (!passes_[p].scatters()) continue;
-    const ShardRows::Size size{passes_[p].encoded_dims(), rays_ * host_.per_ray()[p],
-                               !passes_[p].parts().sampler->traits().keeps_to_room};
-    std::unique_ptr<ShardRows>& rows = rows_[p].all;
-    if (!rows || rows->size() != size) rows = std::make_unique<ShardRows>(size);
-  }
   sums_->reserve();
-  std::int64_t labelled = 0;  // rays of a shard at most, those behind others included
-  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
-    const RayRange shard = shard_of(batch.origin.rows, s, sums_->shards());
-    labelled = std::max(labelled, last_labelled(batch.targets.label.row_range(shard.begin, shard.count)));
+  std::int64_t labelled = 0;  // rays of a part at most, those behind others included
+  for (int r = 0; r < sums_->ranks() && !batch.targets.label.empty(); ++r) {
+    const RayRange rays = rays_of(batch.origin.rows, r, sums_->ranks());
+    labelled = std::max(labelled, last_labelled(batch.targets.label.row_range(rays.begin, rays.count)));
   }
   StepCell cell = of_step;
   cell.adam.labelled = labelled > 0;
@@ -344,18 +318,12 @@ void StreamExecutor::begin_step(Shape& shape, std::int64_t step) {
     if (shape.graphs[0] == nullptr) {
       capture(shape.graphs[0], [&] {
         backward(shape, step, true);
-        if (!sums_->waits()) {
-          sums_->meet(launch().fault);
-          complete_gradients(step);
-        }
+        if (!sums_->waits()) sums_->meet(launch().fault);
         if (!splits()) update(step);
       });
     }
     if (splits() && shape.graphs[1] == nullptr) {
-      capture(shape.graphs[1], [&] {
-        if (sums_->waits()) complete_gradients(step);
-        update(step);
-      });
+      capture(shape.graphs[1], [&] { update(step); });
     }
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::unavailable) throw;
@@ -367,7 +335,6 @@ void StreamExecutor::end_step(Shape& shape, std::int64_t step) {
   const bool captured = shape.captured();
   if (captured) check(cudaGraphLaunch(shape.graphs[0], stream_), "starting a step");
   if (!captured || sums_->waits()) sums_->meet(launch().fault);
-  if (!captured) complete_gradients(step);
   if (hook_) {
     try {
       hook_({step, store_->learned_gradients(), stream_});
@@ -409,24 +376,20 @@ void StreamExecutor::update(std::int64_t step) {
 void StreamExecutor::forget_step() {
   synchronize();
   check(cudaStreamSynchronize(beside_), "waiting for the device");
-  for (Track& track : tracks_) {
-    check(cudaStreamSynchronize(track.stream), "waiting for the device");
-    track.arena.forget();
-  }
   train_arena_.forget();
   beside_arena_.forget();
 }
 
-// Halves a shard until it fits; what that took says what a ray takes. Parameters stay as they are.
+// Halves a part until it fits; what that took says what a ray takes. Parameters stay as they are.
 Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
   room_.give_all();
-  const std::int64_t rays = tile_rays(rays_), shards = sums_->shards();
-  // Forward and backward of the first rays of each shard; the arenas' high-water marks say what they took.
+  const std::int64_t rays = tile_rays(rays_);
+  // Forward and backward of the first rays of each part; the arenas' high-water marks say what they took.
   const auto fits = [&](std::int64_t first) {
     forget_step();
     try {
       sums_->begin(false);
-      walk_shards(shape, step, first);
+      walk(shape, step, first);
     } catch (const Error& refused) {
       if (refused.kind() != ErrorKind::unavailable) throw;
       return false;
@@ -436,8 +399,7 @@ Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& sh
   std::int64_t fit = rays / 2;
   while (fit > 0 && !fits(fit)) fit /= 2;
   if (fit == 0) return error;
-  std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
-  for (const Track& track : tracks_) taken += track.arena.high_water_bytes();
+  const std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
   const double each = static_cast<double>(taken) / static_cast<double>(fit);
   forget_step();
   // An arena asks for an eighth more than its high-water mark (core/workspace.h).
@@ -454,17 +416,13 @@ Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& sh
   return {error.kind(), error.code(), error.message(),
           fmt::format("any of these fits: train.rays: {} (now {}); {:.2f} times the samples in every pass; "
                       "runtime.device: cpu",
-                      fit * shards, rays_, static_cast<double>(fit) / static_cast<double>(rays))};
+                      fit * sums_->ranks(), rays_, static_cast<double>(fit) / static_cast<double>(rays))};
 }
 
-// The walk of a step on the device: one shard of the batch on the step's stream, or several side by side, each on a
-// stream of its own.
-
-// A shard on the device: sums go into those of the step, and semantic branches run on a stream of their own.
-class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
+// The walk of a step on the device: sums go into those of the step, and semantic branches run on a stream of their own.
+class StreamExecutor::Walk final : public StepExecutor<float> {
  public:
-  ShardExecutor(StreamExecutor& owner, const Shape& shape, int shard, const StepContext& ctx)
-      : owner_(owner), shape_(shape), shard_(shard), ctx_(ctx) {}
+  Walk(StreamExecutor& owner, const Shape& shape, const StepContext& ctx) : owner_(owner), shape_(shape), ctx_(ctx) {}
 
   void color_loss(std::size_t pass, Workspace& arena, View<const float> color, View<const float> target,
                   View<float> d_color) override {
@@ -486,31 +444,15 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   void count(std::size_t pass, const PassTrace<float>& trace) override {
     count_samples(trace.samples.first, trace.sigma, sums(pass));
   }
-  View<float> encoded_gradient(std::size_t pass, const PassTrace<float>& trace, Workspace& arena) override {
-    if (in_place(pass)) return place(pass, trace.encoded.rows).dy;
+  View<float> encoded_gradient(std::size_t, const PassTrace<float>& trace, Workspace& arena) override {
     return arena.take<float>(trace.encoded.rows, trace.encoded.cols);
   }
   void use_encoded_gradient(std::size_t pass, const PassTrace<float>& trace, const StepContext& ctx,
                             View<float> d_encoded) override {
-    if (owner_.tracks_.empty()) {
-      const LiveRows<float> live(stages(), trace.samples);
-      owner_.passes_[pass].scatter(ctx, trace.x, d_encoded);
-      return;
-    }
-    EncoderRowsOfPass& rows = owner_.rows_[pass];  // all shards' are scattered at once
-    const View<std::int32_t> first = trace.samples.first;
-    if (in_place(pass)) {
-      const View<double> x = place(pass, trace.encoded.rows).x;
-      stages().copy(bytes_of(View<const double>(trace.x)), bytes_of(x));
-    } else {
-      rows.shard.push_back({trace.x, d_encoded, first.data + first.rows - 1, nullptr});
-    }
     const LiveRows<float> live(stages(), trace.samples);
-    find_largest(d_encoded, rows.all->largest());
+    owner_.passes_[pass].scatter(ctx, trace.x, d_encoded);
   }
-  // Shards that run beside each other fill the device as it is.
   StepContext begin_branch(const StepContext& ctx) override {
-    if (!owner_.tracks_.empty()) return ctx;
     check(cudaEventRecord(owner_.forked_, owner_.stream_), "marking a step");
     check(cudaStreamWaitEvent(owner_.beside_, owner_.forked_, 0), "waiting for a step");
     Launch next = launch();
@@ -522,129 +464,61 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   }
   void end_branch() override { branch_.reset(); }
   void join_branch() override {
-    if (!owner_.tracks_.empty()) return;
     check(cudaEventRecord(owner_.joined_, owner_.beside_), "marking a semantic branch");
     check(cudaStreamWaitEvent(owner_.stream_, owner_.joined_, 0), "waiting for a semantic branch");
   }
 
   void pass_done(std::size_t pass) override {
-    if (!owner_.tracks_.empty()) return;  // complete_gradients
     owner_.passes_[pass].derive_backward(ctx_);
     if (owner_.cameras_ && pass + 1 == owner_.passes_.size()) owner_.cameras_->derive_backward(ctx_);
     owner_.sums_->pass_done(pass);
   }
 
  private:
-  bool in_place(std::size_t pass) const { return !owner_.tracks_.empty() && owner_.rows_[pass].all->size().in_place; }
-  EncoderRows place(std::size_t pass, std::int64_t rows) const {
-    const std::int64_t first = ctx_.first_ray * owner_.host_.per_ray()[pass];
-    return owner_.rows_[pass].all->place(first, rows);
-  }
-  LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
+  LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->pass[pass]; }
 
   StreamExecutor& owner_;
   const Shape& shape_;
-  int shard_;
   StepContext ctx_;
   std::optional<LaunchScope> branch_;
 };
 
-void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena) {
-  StepContext ctx = context(step, true, arena);
-  ctx.first_ray = shard.first_ray;
-  const std::int64_t count = shard.batch.origin.rows;
+// The first `most` of this rank's rays.
+void StreamExecutor::walk(const Shape& shape, std::int64_t step, std::int64_t most) {
+  const RayRange own = sums_->own(rays_);
+  const std::int64_t count = std::min(most, own.count);
+  if (count == 0) return;
+  const Workspace::Scope scope(train_arena_), beside(beside_arena_);
+  const RayBatch batch = staging_->batch().rows(0, count);
+  StepContext ctx = context(step, true, train_arena_);
+  ctx.first_ray = own.begin;
   TrainedRays<float> rays;
-  rays.batch = shard.batch;
+  rays.batch = batch;
   rays.cameras = cameras_ ? &*cameras_ : nullptr;
   if (cameras_ && cameras_->rules().poses) {  // rays as their cameras are corrected
     const auto copy = [&](View<const double> from) {
-      const View<double> to = arena.take<double>(from.rows, from.cols);
+      const View<double> to = train_arena_.take<double>(from.rows, from.cols);
       stages().copy(bytes_of(from), bytes_of(to));
       return to;
     };
-    const View<double> origin = copy(shard.batch.origin), direction = copy(shard.batch.direction);
-    cameras_->move(shard.batch.targets.more[channel::camera], origin, direction);
+    const View<double> origin = copy(batch.origin), direction = copy(batch.direction);
+    cameras_->move(batch.targets.more[channel::camera], origin, direction);
     rays.batch.origin = origin;
     rays.batch.direction = direction;
   }
-  rays.lane = shard.lane;
   rays.room = room_.rows();
   rays.semantic_rays = std::min(shape.semantic_rays, count);
-  rays.first_color = shard.batch.without_color();
-  ShardExecutor executor(*this, shape, shard.number, ctx);
+  rays.first_color = batch.without_color();
+  Walk executor(*this, shape, ctx);
   train_rays<float>(passes_, host_.per_ray(), rays, ctx, executor);
 }
 
 void StreamExecutor::backward(const Shape& shape, std::int64_t step, bool overlapped) {
   StepSums* const sums = staging_->device_sums();
-  check(cudaMemsetAsync(sums->shard, 0, sizeof sums->shard, stream_), "clearing sums");
+  check(cudaMemsetAsync(sums->pass, 0, sizeof sums->pass, stream_), "clearing sums");
   sums_->begin(overlapped);
   store_->zero_derived_gradients();
-  walk_shards(shape, step, tile_rays(rays_));
-}
-
-// The first `most` rays of each of this rank's shards.
-void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int64_t most) {
-  const auto [first, last] = sums_->own();
-  const std::int64_t begin = shard_of(rays_, first, sums_->shards()).begin;
-  const RayBatch batch = staging_->batch();
-  const auto shard_at = [&](int s) {
-    const RayRange rays = shard_of(rays_, s, sums_->shards());
-    return Shard{batch.rows(rays.begin - begin, std::min(most, rays.count)), rays.begin, s - first, kMainGradient};
-  };
-  if (tracks_.empty()) {
-    const Workspace::Scope scope(train_arena_), beside(beside_arena_);
-    const Shard shard = shard_at(first);
-    if (shard.batch.origin.rows > 0) walk(shape, shard, step, train_arena_);
-    return;
-  }
-  for (EncoderRowsOfPass& pass : rows_) {
-    pass.shard.clear();
-    if (pass.all) pass.all->begin();
-  }
-  store_->clear_lanes();
-  check(cudaEventRecord(forked_, stream_), "marking a step");
-  std::deque<Workspace::Scope> taken;  // until the rows of encoders are collected
-  for (int s = first; s < last; ++s) {
-    Track& track = tracks_[static_cast<std::size_t>(s - first)];
-    check(cudaStreamWaitEvent(track.stream, forked_, 0), "waiting for a step");
-    Launch next = launch();
-    next.stream = track.stream;
-    next.beside = kShards;  // grids of sums are part of the bits
-    const LaunchScope scope(next);
-    taken.emplace_back(track.arena);
-    Shard shard = shard_at(s);
-    shard.lane = s;
-    if (shard.batch.origin.rows > 0) walk(shape, shard, step, track.arena);
-    check(cudaEventRecord(track.walked, track.stream), "marking a shard");
-  }
-  for (Track& track : tracks_) check(cudaStreamWaitEvent(stream_, track.walked, 0), "waiting for a shard");
-  for (EncoderRowsOfPass& pass : rows_) {
-    if (pass.all && !pass.all->size().in_place) pass.all->collect(pass.shard);
-  }
-}
-
-// What shards have left becomes the gradients of the batch.
-void StreamExecutor::complete_gradients(std::int64_t step) {
-  if (tracks_.empty()) return;
-  StepContext ctx = context(step, true, train_arena_);
-  for (std::size_t p = 0; p < passes_.size(); ++p) {
-    if (!rows_[p].all) continue;
-    const Workspace::Scope scope(train_arena_);
-    const EncoderRows rows = rows_[p].all->all();
-    Launch next = launch();
-    next.live_rows = rows.count;
-    next.largest = rows.largest;
-    const LaunchScope known(next);
-    ctx.pass = passes_[p].parts().number;
-    passes_[p].scatter(ctx, rows.x, rows.dy);
-  }
-  store_->add_lanes();
-  for (const Pass<float>& pass : passes_) {
-    ctx.pass = pass.parts().number;
-    pass.derive_backward(ctx);
-  }
-  if (cameras_) cameras_->derive_backward(ctx);
+  walk(shape, step, tile_rays(rays_));
 }
 
 // Several ranks have rank 0's pixels, and steps come from it.
@@ -692,10 +566,7 @@ StepLosses StreamExecutor::losses_of(std::span<const StepSums* const> sums, cons
   StepLosses out;
   for (std::size_t p = 0; p < passes_.size(); ++p) {
     LossSums pass;
-    for (int r = 0; r < sums_->ranks(); ++r) {
-      const auto [first, last] = sums_->own_of(r);
-      for (int s = first; s < last; ++s) add(pass, sums[static_cast<std::size_t>(r)]->shard[s - first][p]);
-    }
+    for (const StepSums* const of_rank : sums) add(pass, of_rank->pass[p]);
     out.color += pass.squares;
     out.semantic += pass.semantic;
     out.mse = pass.squares;
@@ -741,7 +612,7 @@ StepResults StreamExecutor::finish() {
     synchronize();
   } else {
     std::int64_t samples = 0;
-    for (const StepSums& sums : staging_->sums(queued.size())) samples = std::max(samples, sums.shard[0][0].samples);
+    for (const StepSums& sums : staging_->sums(queued.size())) samples = std::max(samples, sums.pass[0].samples);
     if (room_.saw(samples)) {
       forget_graphs();
       forget_step();

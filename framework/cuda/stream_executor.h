@@ -1,7 +1,6 @@
 // Steps and rendering on a stream of one CUDA device.
 #pragma once
 
-#include <deque>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -21,10 +20,9 @@ namespace semfield::cuda {
 
 /// A step is: one copy of its batch to the device, one graph of every kernel from sampling to Adam, one copy of its
 /// sums back, all queued without waiting. The graph is captured in the third step of a shape: the first sizes arenas
-/// and chooses algorithms. A batch is walked in shards (cuda/ranks/gradient_sums.h): as a whole, or this rank's
-/// part of it, or with DeviceOptions::deterministic several parts side by side, each on a stream of its own. Rays of a
-/// shard beyond the last labelled one of any shard carry no semantics; their number is rounded to an eighth of a shard,
-/// so that few shapes occur, the same ones on every rank.
+/// and chooses algorithms. A batch is walked as a whole, or this rank's part of it
+/// (cuda/ranks/gradient_sums.h). Rays of a part beyond the last labelled one of any part carry no semantics; their
+/// number is rounded to an eighth of a part, so that few shapes occur, the same ones on every rank.
 ///
 /// With several ranks each has the whole batch, and ends a step with the same tensors. Samplers' states are refreshed
 /// by every rank for itself, from the same tensors.
@@ -56,7 +54,7 @@ class StreamExecutor final : public Executor<float> {
   static constexpr int kSlots = 32;
   static constexpr int kGroups = 8;  // shapes of a step: eighths of the batch with semantics
 
-  // One shape of a step: how many rays of a shard have semantics, and which terms of the loss there are.
+  // One shape of a step: how many rays of a part have semantics, and which terms of the loss there are.
   struct Shape {
     std::int64_t semantic_rays = 0;
     std::uint32_t terms = 0;  // of the loss that work: LossScales::active
@@ -65,24 +63,6 @@ class StreamExecutor final : public Executor<float> {
     bool captured() const { return runs >= kRunsBeforeCapture; }
   };
   static constexpr int kRunsBeforeCapture = 2;  // a capture must find the arenas grown
-  // Rays that are walked together.
-  struct Shard {
-    RayBatch batch;
-    std::int64_t first_ray = 0;  // of the whole batch
-    int number = 0;              // among this rank's
-    int lane = kMainGradient;
-  };
-  // What a shard that is walked beside others has for itself.
-  struct Track {
-    Workspace arena{arena_source()};
-    cudaStream_t stream = nullptr;
-    cudaEvent_t walked = nullptr;
-  };
-  // Of a pass whose encoder learns, in a walk of several shards.
-  struct EncoderRowsOfPass {
-    std::vector<EncoderRows> shard;
-    std::unique_ptr<ShardRows> all;
-  };
   struct Queued {
     std::int64_t step;
     BatchScales scales;
@@ -109,10 +89,8 @@ class StreamExecutor final : public Executor<float> {
   void backward(const Shape& shape, std::int64_t step, bool overlapped);
   void update(std::int64_t step);
   void derive(const StepContext& ctx) const;
-  void walk_shards(const Shape& shape, std::int64_t step, std::int64_t most);
-  void walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena);
-  void complete_gradients(std::int64_t step);
-  class ShardExecutor;
+  void walk(const Shape& shape, std::int64_t step, std::int64_t most);
+  class Walk;
   class Points;
   std::int64_t growths() const;
   /// The error of a step that did not fit, with settings that do.
@@ -136,8 +114,6 @@ class StreamExecutor final : public Executor<float> {
   std::vector<Pass<float>> passes_;
   std::optional<CameraCorrections<float>> cameras_;
   std::unique_ptr<GradientSums> sums_;
-  std::deque<Track> tracks_;  // of this rank's shards, with DeviceOptions::deterministic
-  std::vector<EncoderRowsOfPass> rows_;
   SampleRoom room_;
   std::unique_ptr<BatchDrawer> drawer_;
   std::vector<std::string> notes_;

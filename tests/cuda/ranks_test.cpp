@@ -4,7 +4,6 @@
 #include <cstdlib>
 
 #include "cuda/ranks/gradient_sums.h"
-#include "cuda/ranks/shard_sums.h"
 #include "execution/ranks_executor.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
@@ -243,27 +242,26 @@ TEST_F(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
   }
 }
 
-// How gradients of a device meet: the cut of a step into shards, the tree in which they are added, and exchanges
-// between ranks that are threads with one device.
+// How gradients of a device meet: the cut of a step into parts, and exchanges between ranks that are threads with one
+// device.
 
 using cuda::GradientSums;
-using cuda::kShards;
 using cuda::RayRange;
-using cuda::shard_of;
+using cuda::rays_of;
 using testing::DeviceLaunch;
 using testing::NotedFault;
 
-TEST(Shards, CoverTheRaysInOrderAndOnlyTheLastAreShorter) {
+TEST(RaysOfRanks, CoverTheBatchInOrderAndOnlyTheLastAreShorter) {
   for (const std::int64_t rays : {1, 5, 8, 100, 192, 4096, 4099}) {
-    for (const int shards : {1, 2, 3, 8}) {
-      const std::int64_t each = shard_of(rays, 0, shards).count;
-      EXPECT_EQ(each, (rays + shards - 1) / shards);
+    for (const int ranks : {1, 2, 3, 8}) {
+      const std::int64_t each = rays_of(rays, 0, ranks).count;
+      EXPECT_EQ(each, (rays + ranks - 1) / ranks);
       std::int64_t begin = 0;
-      for (int s = 0; s < shards; ++s) {
-        const RayRange range = shard_of(rays, s, shards);
-        EXPECT_EQ(range.begin, begin) << rays << " rays, shard " << s;
+      for (int r = 0; r < ranks; ++r) {
+        const RayRange range = rays_of(rays, r, ranks);
+        EXPECT_EQ(range.begin, begin) << rays << " rays, rank " << r;
         begin += range.count;
-        EXPECT_TRUE(range.count == each || begin == rays) << rays << " rays, shard " << s;
+        EXPECT_TRUE(range.count == each || begin == rays) << rays << " rays, rank " << r;
       }
       EXPECT_EQ(begin, rays);
     }
@@ -281,11 +279,6 @@ std::vector<float> sum(const std::vector<float>& a, const std::vector<float>& b)
   for (std::size_t i = 0; i < a.size(); ++i) total[i] = a[i] + b[i];
   return total;
 }
-std::vector<float> tree(std::size_t count, int first, int level) {
-  if (level == 0) return numbers(count, static_cast<std::uint64_t>(first));
-  return sum(tree(count, first, level - 1), tree(count, first + (1 << (level - 1)), level - 1));
-}
-
 // Gradients of a rank, with a launch of their own.
 struct Place {
   Place(Ranks* ranks, bool deterministic, std::size_t count, std::vector<std::size_t> ends)
@@ -312,93 +305,15 @@ struct Place {
   GradientSums sums;
 };
 
-TEST(CudaShards, GradientsAreAddedAsATree) {
-  SEMFIELD_ON_DEVICE(launch);
-  constexpr std::size_t kCount = 64 * 20, kFirst = 64 * 3;  // two tensors of a block, in the other order in the sum
-  cuda::Buffer<float> blocks(cuda::kShards * kCount, "a test"), sum_there(kCount, "a test");
-  std::array<const float*, cuda::kShards> block{};
-  for (std::size_t s = 0; s < block.size(); ++s) {
-    const std::size_t place = (s * 3) % block.size();
-    block[s] = blocks.data() + place * kCount;
-    cuda::upload<float>(numbers(kCount, s), blocks.data() + place * kCount);
-  }
-  cuda::upload<float>(std::vector<float>(kCount, 0.5F), sum_there.data());
-  const std::vector<cuda::ShardTensor> tensors{{0, kFirst, sum_there.data() + kCount - kFirst},
-                                               {kFirst, kCount - kFirst, sum_there.data()}};
-  cuda::Buffer<std::byte> there(tensors.size() * sizeof(cuda::ShardTensor), "a test");
-  cuda::upload<std::byte>(std::as_bytes(std::span(tensors)), there.data());
-  cuda::add_shards({reinterpret_cast<const cuda::ShardTensor*>(there.data()), 2, kCount - kFirst}, block);
-  std::vector<float> got(kCount);
-  cuda::download<float>(sum_there.data(), got);
-  cuda::synchronize();
-  const std::vector<float> total = tree(kCount, 0, 3);
-  for (std::size_t i = 0; i < kCount; ++i) {
-    const std::size_t to = i < kFirst ? kCount - kFirst + i : i - kFirst;
-    ASSERT_EQ(got[to], 0.5F + total[i]) << i;
-  }
-}
-
-TEST(CudaShards, RowsInUseAreJoinedInOrder) {
-  SEMFIELD_ON_DEVICE(launch);
-  constexpr std::int64_t kRoom = 40;
-  for (const std::int32_t dims : {3, 8}) {
-    const std::vector<std::int32_t> counts{7, 0, 40, 1};
-    cuda::Buffer<double> x(4 * 3 * kRoom, "a test"), all_x(4 * 3 * kRoom, "a test");
-    cuda::Buffer<float> dy(4 * static_cast<std::size_t>(dims) * kRoom, "a test");
-    cuda::Buffer<float> all_dy(dy.size(), "a test");
-    cuda::Buffer<std::int32_t> count(counts.size() + 1, "a test");
-    cuda::Buffer<std::int32_t> largest(counts.size() + 1, "a test");
-    cuda::upload<std::int32_t>(std::vector<std::int32_t>{3, 9, 4, 5}, largest.data());
-    const auto largest_of = [&](std::size_t p) { return reinterpret_cast<std::uint32_t*>(largest.data() + p); };
-    std::vector<double> x_here(x.size());
-    std::vector<float> dy_here(dy.size());
-    for (std::size_t i = 0; i < x_here.size(); ++i) x_here[i] = static_cast<double>(i) + 0.25;
-    for (std::size_t i = 0; i < dy_here.size(); ++i) dy_here[i] = static_cast<float>(i) - 3;
-    cuda::upload<double>(x_here, x.data());
-    cuda::upload<float>(dy_here, dy.data());
-    cuda::upload<std::int32_t>(counts, count.data());
-    std::vector<cuda::EncoderRows> parts;
-    std::vector<double> want_x;
-    std::vector<float> want_dy;
-    for (std::size_t p = 0; p < counts.size(); ++p) {
-      const std::size_t rows = static_cast<std::size_t>(counts[p]), d = static_cast<std::size_t>(dims);
-      parts.push_back({{x.data() + p * 3 * kRoom, kRoom, 3, 3, Device::cuda},
-                       {dy.data() + p * d * kRoom, kRoom, dims, dims, Device::cuda},
-                       count.data() + p,
-                       largest_of(p)});
-      want_x.insert(want_x.end(), x_here.begin() + static_cast<std::ptrdiff_t>(p * 3 * kRoom),
-                    x_here.begin() + static_cast<std::ptrdiff_t>(p * 3 * kRoom + 3 * rows));
-      want_dy.insert(want_dy.end(), dy_here.begin() + static_cast<std::ptrdiff_t>(p * d * kRoom),
-                     dy_here.begin() + static_cast<std::ptrdiff_t>(p * d * kRoom + d * rows));
-    }
-    cuda::join_rows(parts, {all_x.view(4 * kRoom, 3), all_dy.view(4 * kRoom, dims), count.data() + counts.size(),
-                            largest_of(counts.size())});
-    std::vector<double> got_x(want_x.size());
-    std::vector<float> got_dy(want_dy.size());
-    std::vector<std::int32_t> got_count(1);
-    std::vector<std::int32_t> got_largest(1);
-    cuda::download<std::int32_t>(largest.data() + counts.size(), got_largest);
-    cuda::download<double>(all_x.data(), got_x);
-    cuda::download<float>(all_dy.data(), got_dy);
-    cuda::download<std::int32_t>(count.data() + counts.size(), got_count);
-    cuda::synchronize();
-    EXPECT_EQ(got_count[0], 48);
-    EXPECT_EQ(got_largest[0], 9);
-    EXPECT_EQ(got_x, want_x);
-    EXPECT_EQ(got_dy, want_dy);
-  }
-}
-
 using CudaGradientSums = testing::DeviceTest;
 
-TEST_F(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
+TEST_F(CudaGradientSums, RanksAreAddedInTheirOrderPassByPass) {
   constexpr std::size_t kCount = (std::size_t{1} << 20) + 64 * 20;  // more than the host exchanges at once
   for (const int size : {1, 2, 3}) {
     std::vector<float> want = numbers(kCount, 0);
     for (int r = 1; r < size; ++r) want = sum(want, numbers(kCount, static_cast<std::uint64_t>(r)));
     as_ranks(size, [&](Ranks& ranks) {
       Place place(&ranks, false, kCount, {64 * 5, 64 * 5, kCount});  // the second pass learns nothing
-      EXPECT_EQ(place.sums.shards(), size);
       place.write(numbers(kCount, static_cast<std::uint64_t>(ranks.rank())));
       place.sums.begin(true);
       for (const std::size_t pass : {0, 1, 2}) place.sums.pass_done(pass);

@@ -153,8 +153,8 @@ std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not) {
 
 std::unique_ptr<RankExchange> host_exchange(Ranks& ranks) { return std::make_unique<HostExchange>(ranks); }
 
-RayRange shard_of(std::int64_t rays, int number, int shards) {
-  const std::int64_t each = (rays + shards - 1) / shards;
+RayRange rays_of(std::int64_t rays, int number, int parts) {
+  const std::int64_t each = (rays + parts - 1) / parts;
   const std::int64_t begin = std::min(rays, number * each), end = std::min(rays, begin + each);
   return {begin, end - begin};
 }

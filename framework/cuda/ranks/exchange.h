@@ -39,17 +39,13 @@ std::unique_ptr<RankExchange> host_exchange(Ranks& ranks);
 /// its own. Else through the host's memory, and `why_not` says why.
 std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not);
 
-// How the rays of a step are cut into shards, and which rank walks which.
-
-/// Shards of a step whose bits depend on its batch alone. Their gradients are added as a tree:
-/// ((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7)).
-inline constexpr int kShards = 8;
+// Which rays of a step a rank walks.
 
 struct RayRange {
   std::int64_t begin = 0, count = 0;
 };
-/// Shard `number` of `shards`: ceil(rays / shards) rays; the last ones get fewer, or none.
-RayRange shard_of(std::int64_t rays, int number, int shards);
+/// Part `number` of `parts`: ceil(rays / parts) rays; the last ones get fewer, or none.
+RayRange rays_of(std::int64_t rays, int number, int parts);
 
 // The library that exchanges by NCCL: loaded when a run has several ranks, so that others do without NCCL.
 

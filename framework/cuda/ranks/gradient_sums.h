@@ -13,15 +13,13 @@
 #include "core/error.h"
 #include "cuda/launch.h"
 #include "cuda/ranks/exchange.h"
-#include "cuda/ranks/shard_sums.h"
 #include "cuda/steps/batch_drawer.h"
 #include "execution/device_library.h"
 
 namespace semfield::cuda {
 
-/// By default a rank has one shard of the batch, and gradients are summed pass by pass, each while the next pass is
-/// walked. With DeviceOptions::deterministic there are kShards shards, and one rank walks them all. Without ranks
-/// nothing is exchanged; launches are those of launch().
+/// A rank has its part of the batch, and gradients are summed pass by pass, each while the next pass is walked. Without
+/// ranks nothing is exchanged; launches are those of launch().
 class GradientSums {
  public:
   /// Borrows `gradients`, in device memory, those of pass p behind those of the pass before, from ends[p - 1] to
@@ -29,15 +27,10 @@ class GradientSums {
   GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends);
   ~GradientSums();
 
-  /// Of a batch.
-  int shards() const { return shards_; }
-  /// This rank's: [first, second).
-  std::pair<int, int> own() const { return own_of(rank()); }
-  std::pair<int, int> own_of(int rank) const;
-  /// Lanes of gradients, one for each shard; none without DeviceOptions::deterministic.
-  static int lanes_of(const DeviceOptions& options);
   int rank() const { return ranks_ == nullptr ? 0 : ranks_->rank(); }
   int ranks() const { return ranks_ == nullptr ? 1 : ranks_->size(); }
+  /// This rank's rays of a batch.
+  RayRange own(std::int64_t rays) const { return rays_of(rays, rank(), ranks()); }
 
   /// To be called by all ranks, before a step; meets the others once. Throws Error where ranks cannot work like this.
   void join();
@@ -54,7 +47,7 @@ class GradientSums {
   /// Whether `meet` waits for the other ranks, so that no graph may hold it.
   bool waits() const { return exchange_ && !exchange_->queues(); }
 
-  /// Before the walk of a step's shards. overlapped: passes are summed when they are done, else all by `meet`.
+  /// Before the walk of a step. overlapped: passes are summed when they are done, else all by `meet`.
   void begin(bool overlapped);
   /// The gradients of pass p are complete, on launch().stream.
   void pass_done(std::size_t pass);
@@ -72,7 +65,6 @@ class GradientSums {
   Ranks* ranks_;
   bool deterministic_;
   std::vector<std::string> notes_;
-  int shards_;
   std::span<float> gradients_;
   std::vector<std::size_t> ends_;
   std::unique_ptr<RankExchange> exchange_;
@@ -81,36 +73,6 @@ class GradientSums {
   cudaEvent_t walked_ = nullptr, summed_ = nullptr;
   bool overlapped_ = false;
   std::size_t next_pass_ = 0;  // that is to be summed
-};
-
-// Rows of a learned encoder with their gradients, of all shards of a step, scattered at once.
-
-/// Where hardly a row of a shard is unused (its gradient is 0), shards write into their place at once; else the rows in
-/// use are collected.
-class ShardRows {
- public:
-  struct Size {
-    std::int32_t dims = 0;  ///< of the encoder's output
-    std::int64_t rows = 0;  ///< at most
-    bool in_place = false;
-    bool operator==(const Size&) const = default;
-  };
-  explicit ShardRows(const Size& size);
-
-  const Size& size() const { return size_; }
-  /// Before the shards of a step.
-  void begin();
-  /// Rows [first, first + rows), in place.
-  EncoderRows place(std::int64_t first, std::int64_t rows) const;
-  /// Bits of the largest |dy|.
-  std::uint32_t* largest() const { return all().largest; }
-  /// Not in place: all rows, from the shards in order.
-  void collect(std::span<const EncoderRows> of_shards) const { join_rows(of_shards, all()); }
-  EncoderRows all() const;
-
- private:
-  Size size_;
-  Buffer<float> memory_;
 };
 
 }  // namespace semfield::cuda

@@ -71,10 +71,10 @@ void draw_rays(const HeldPixels& pixels, const DrawRule& rule, std::int64_t firs
 
 inline constexpr int kMostPasses = 4;
 
-/// What a step of this process leaves, of each of its shards: read back as one block.
+/// What a step of this process leaves, of each pass: read back as one block.
 struct StepSums {
   FaultKey fault = kNoFault;
-  LossSums shard[kShards][kMostPasses];
+  LossSums pass[kMostPasses];
 };
 
 /// Batches of steps on their way to the device: of each its StepCell and its rays, which may lie there already.

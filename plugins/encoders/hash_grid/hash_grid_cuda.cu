@@ -606,17 +606,14 @@ void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const doub
   }
   const Workspace::Scope scope(workspace);
   FixedSums sums;
-  sums.largest = launch().largest;
   const std::size_t bytes = static_cast<std::size_t>(most) * sizeof(unsigned long long);
   sums.sums = reinterpret_cast<unsigned long long*>(workspace.take_bytes(bytes));
   sums.rows_log2 = std::bit_width(static_cast<std::uint64_t>(x.rows - 1));
   const cudaStream_t stream = launch().stream;
-  if (sums.largest == nullptr) {
-    auto* const largest = workspace.take<std::uint32_t>(1, 1).data;
-    check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
-    find_largest(dy, largest);
-    sums.largest = largest;
-  }
+  auto* const largest = workspace.take<std::uint32_t>(1, 1).data;
+  check(cudaMemsetAsync(largest, 0, sizeof *largest, stream), "hash grid: largest gradient");
+  find_largest(dy, largest);
+  sums.largest = largest;
   check(cudaMemsetAsync(sums.sums, 0, bytes, stream), "hash grid: clearing sums");
   for (int begin = 0; begin < shape.levels; begin += group_levels) {
     const int levels = std::min(group_levels, shape.levels - begin);

@@ -584,7 +584,7 @@ void weight_gradients(const WeightGradients& call, Workspace& arena) {
   check(cudaFuncSetAttribute(weight_gradient_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
                              static_cast<int>(kShared)),
         "nerf_mlp gradients of weights");
-  const std::int64_t device = std::int64_t{multiprocessors()} * launch().beside;
+  const std::int64_t device = multiprocessors();
   const auto grid = static_cast<unsigned>(std::min(w.ranges * w.count, device));
   weight_gradient_kernel<<<grid, kThreads, kShared, launch().stream>>>(w);
   check_launch("nerf_mlp gradients of weights");
