@@ -1,19 +1,28 @@
-// How device memory of several ranks meets: through NCCL, or through the memory of the host.
+// How a step is shared: which rays of its batch a rank walks, and how the gradients meet again, through NCCL or through
+// the memory of the host.
 #pragma once
 
 #include <cuda_runtime_api.h>
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
+#include <utility>
+#include <vector>
 
+#include "core/error.h"
 #include "core/non_copyable.h"
 #include "cuda/launch.h"
+#include "execution/device_library.h"
 #include "execution/ranks/ranks.h"
 
 namespace semfield::cuda {
+
+struct StepSums;
 
 /// All ranks make the same calls in the same order. What they give is the same on every rank, to the bit. An Error that
 /// one rank alone meets leaves no other rank waiting.
@@ -46,6 +55,65 @@ struct RayRange {
 };
 /// Part `number` of `parts`: ceil(rays / parts) rays; the last ones get fewer, or none.
 RayRange rays_of(std::int64_t rays, int number, int parts);
+
+// How the gradients of a step meet.
+
+/// A rank has its part of the batch, and gradients are summed pass by pass, each while the next pass is walked. Without
+/// ranks nothing is exchanged; launches are those of launch().
+class GradientSums {
+ public:
+  /// Borrows `gradients`, in device memory, those of pass p behind those of the pass before, from ends[p - 1] to
+  /// ends[p].
+  GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends);
+  ~GradientSums();
+
+  int rank() const { return ranks_ == nullptr ? 0 : ranks_->rank(); }
+  int ranks() const { return ranks_ == nullptr ? 1 : ranks_->size(); }
+  /// This rank's rays of a batch.
+  RayRange own(std::int64_t rays) const { return rays_of(rays, rank(), ranks()); }
+
+  /// To be called by all ranks, before a step; meets the others once. Throws Error where ranks cannot work like this.
+  void join();
+  /// What `join` has to tell, once.
+  std::vector<std::string> take_notes() { return std::exchange(notes_, {}); }
+  /// Memory for what meets. Throws Error(unavailable).
+  void reserve();
+  /// Calls `work`, which may fail on one rank: then all throw.
+  void agree(const std::function<void()>& work);
+  /// Calls `work` when the other ranks rely on this one's step. With several ranks its error is thrown by the next
+  /// `agree`, and so on all of them; but where their devices may wait for this one's for ever, it is RankLost: when
+  /// this process ends, they notice.
+  void afterwards(const std::function<void()>& work);
+  /// Whether `meet` waits for the other ranks, so that no graph may hold it.
+  bool waits() const { return exchange_ && !exchange_->queues(); }
+
+  /// Before the walk of a step. overlapped: passes are summed when they are done, else all by `meet`.
+  void begin(bool overlapped);
+  /// The gradients of pass p are complete, on launch().stream.
+  void pass_done(std::size_t pass);
+  /// The gradients become those of the batch, and *fault the least of all, for what launch().stream does next.
+  void meet(FaultKey* fault);
+  /// Waits for launch().stream.
+  void wait();
+
+  /// [ranks, mine.size()]
+  std::vector<StepSums> of_all_ranks(std::span<const StepSums> mine) const;
+
+ private:
+  void sum_pass(std::size_t pass, FaultKey* fault);
+
+  Ranks* ranks_;
+  bool deterministic_;
+  std::vector<std::string> notes_;
+  std::span<float> gradients_;
+  std::vector<std::size_t> ends_;
+  std::unique_ptr<RankExchange> exchange_;
+  std::optional<Error> pending_;
+  cudaStream_t between_ = nullptr;  // the sums of passes
+  cudaEvent_t walked_ = nullptr, summed_ = nullptr;
+  bool overlapped_ = false;
+  std::size_t next_pass_ = 0;  // that is to be summed
+};
 
 // The library that exchanges by NCCL: loaded when a run has several ranks, so that others do without NCCL.
 

@@ -8,7 +8,6 @@
 
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
-#include "cuda/ranks/exchange.h"
 #include "execution/executor.h"
 #include "execution/train_rays.h"
 
