@@ -6,14 +6,14 @@ if(NOT Python3_Interpreter_FOUND)
 endif()
 set(semfield_pages ${PROJECT_BINARY_DIR}/docs)
 file(GLOB_RECURSE page_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/docs/* ${PROJECT_SOURCE_DIR}/plugins/*.md ${PROJECT_SOURCE_DIR}/framework/*.h)
-file(GLOB more_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/*.md ${PROJECT_SOURCE_DIR}/scripts/docs_*)
+file(GLOB more_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/*.md ${PROJECT_SOURCE_DIR}/cmake/*.py)
 set(page_of_python "")
 if(SEMFIELD_PYTHON AND NOT SEMFIELD_SANITIZE)  # the interpreter has no sanitizer
   set(page_of_python COMMAND ${CMAKE_COMMAND} -E env PYTHONPATH=${PROJECT_BINARY_DIR}/python ${Python_EXECUTABLE}
       ${PROJECT_SOURCE_DIR}/python/docs/reference.py ${semfield_pages}/docs/reference/python.md)
 endif()
 add_custom_command(OUTPUT ${semfield_pages}.made
-  COMMAND ${Python3_EXECUTABLE} ${PROJECT_SOURCE_DIR}/scripts/docs_pages ${semfield_pages}
+  COMMAND ${Python3_EXECUTABLE} ${PROJECT_SOURCE_DIR}/cmake/make_pages.py ${semfield_pages}
   COMMAND semfield_app --quiet help --pages ${semfield_pages}
   ${page_of_python}
   COMMAND ${CMAKE_COMMAND} -E touch ${semfield_pages}.made

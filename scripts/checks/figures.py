@@ -7,11 +7,13 @@ import re
 import resource
 import shutil
 import statistics
+import sys
 import time
 
-from docs_parts import data_rows, table_of
-
 from . import common
+
+sys.path.insert(1, str(common.ROOT / "cmake"))
+from make_pages import data_rows, table_of  # noqa: E402
 
 PRESETS = ("room", "unbounded", "object")
 

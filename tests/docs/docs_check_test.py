@@ -1,4 +1,4 @@
-"""scripts/docs_check and docs_parts.py on small repositories: what is counted, and that each kind of fault is named. Argument: the folder of sources."""
+"""docs_check.py and cmake/make_pages.py on small repositories: what is counted, and that each kind of fault is named. Argument: the folder of sources."""
 import json
 import os
 import re
@@ -8,8 +8,8 @@ import tempfile
 
 sys.dont_write_bytecode = True
 SOURCE = sys.argv[1]
-sys.path.insert(0, os.path.join(SOURCE, "scripts"))
-import docs_parts  # noqa: E402
+sys.path.insert(0, os.path.join(SOURCE, "cmake"))
+import make_pages  # noqa: E402
 
 DOCS = "docs"  # other tests look for documents that sources name
 ROW = {"scene": "lego", "seconds": 60.0, "device": "NVIDIA H100", "date": "2026-11-26", "commit": "0cb12932", "command": "scripts/benchmark FOLDER", "n": 1, "psnr": 34.72}
@@ -40,7 +40,7 @@ def expect(page, code, sentence="", files=(), **wanted):
     """Checks a repository with this page, and with files instead of others."""
     with tempfile.TemporaryDirectory(prefix="docs of ") as root:
         write(root, {**FILES, f"{DOCS}/page.md": page, **dict(files)})
-        done = subprocess.run([sys.executable, os.path.join(SOURCE, "scripts/docs_check"), "--root", root], capture_output=True, text=True)
+        done = subprocess.run([sys.executable, os.path.join(SOURCE, "tests/docs/docs_check.py"), "--root", root], capture_output=True, text=True)
     values = dict(re.findall(r"(\w+)=(\d+)", done.stdout.strip().split("\n")[-1]))
     wrong = {name: values.get(name) for name, value in wanted.items() if values.get(name) != str(value)}
     if done.returncode != code or sentence not in done.stderr or wrong:
@@ -80,7 +80,7 @@ with tempfile.TemporaryDirectory(prefix="data of ") as folder:
     for mark, row in [("table rows.json: scene psnr", "| lego | 34.7 |"), ("table objects.json: pq", "| living/exact | 0.850 ± 0.635 (2) |"),
                       ("table cells.csv experiment=labels: miou", "| click | 2.000 ± 2.484 (3) |"), ("table cells.csv experiment=labels|other: miou", "| click | 2.000 ± 2.484 (3) | 9 |"),
                       ("sources", "| 2026-11-26 | 0cb12932 | NVIDIA H100 | `scripts/benchmark FOLDER` | 1 |")]:
-        text = docs_parts.filled(folder, f"before\n<!-- {mark} -->\nafter\n")
+        text = make_pages.filled(folder, f"before\n<!-- {mark} -->\nafter\n")
         if row not in text or "<!--" in text:
             sys.exit(f"expected '{row}' of {mark}, got\n{text}")
 print("36 repositories and tables")

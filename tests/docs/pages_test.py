@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """What pages and messages point at exists: citations, folders, verbs and their options, exit codes, keys that `--set`
-takes; configurations are read. `scripts/docs_check` looks at links and words.
+takes; configurations are read. docs_check.py looks at links and words.
 
 SEMFIELD_DOCS names the folder with the pages that the build makes."""
 
@@ -207,7 +207,7 @@ class Keys(ProgramCase):
         self.assertGreater(seen, 50, "messages name keys")
 
     def test_every_literal_that_looks_like_a_code_is_listed(self):
-        """scripts/docs_parts.py finds codes by what is before them: what looks like one of their areas is a code, a key
+        """cmake/make_pages.py finds codes by what is before them: what looks like one of their areas is a code, a key
         or a file."""
         areas = {code.partition(".")[0] for code in self.codes}
         for place, dataset, text in self.literals():

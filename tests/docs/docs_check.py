@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks the documents as their reader meets them: scripts/docs_check [--list] [--pages FOLDER] [--root FOLDER]
+"""Checks the documents as their reader meets them: tests/docs/docs_check.py [--list] [--pages FOLDER] [--root FOLDER]
 
 It counts words, looks for figures and files of data without a source, broken links and phrases that no engineer would say aloud, in pages and in messages of the program.
 --pages looks at links and phrases of the pages in build/PRESET/docs, where the generated ones are; --list prints the words of each page. The last line is
@@ -14,9 +14,9 @@ import re
 import sys
 
 sys.dont_write_bytecode = True
-REPOSITORY = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-sys.path.insert(0, os.path.join(REPOSITORY, "scripts"))
-from docs_parts import FENCE, SOURCE, anchor_of, check, pages_of, sources_in, sources_of  # noqa: E402
+REPOSITORY = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+sys.path.insert(0, os.path.join(REPOSITORY, "cmake"))
+from make_pages import FENCE, SOURCE, anchor_of, check, pages_of, sources_in, sources_of  # noqa: E402
 
 MOST_WORDS, MOST_README_WORDS = 45000, 900
 COMMENT = re.compile(r"<!--.*?-->", re.S)

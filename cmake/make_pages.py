@@ -1,12 +1,19 @@
-"""What the scripts of the documents share: pages and links, tables of data, the page of all codes."""
+#!/usr/bin/env python3
+"""Writes the pages as a reader gets them: cmake/make_pages.py FOLDER. Everything in docs/, every page of the tree with tables of data filled in, the
+sources that they link to, and docs/reference/codes.md and cpp.md, from the sources. `semfield help --pages FOLDER` adds what the program knows of itself,
+python/docs/reference.py the Python module; the CMake target docs_pages calls all three for build/PRESET/docs."""
+import argparse
 import csv
 import json
 import math
 import os
+import pathlib
 import re
+import shutil
 import statistics
 import urllib.parse
 
+REPOSITORY = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 NOT_OURS = re.compile(r"\.|build|(?:runs|out|data|__pycache__)$")
 GENERATED = {f"docs/reference/{name}.md" for name in ("codes", "cpp", "plugins", "python", "verbs")}  # by the target docs_pages
 FENCE = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1`*[ ]*$\n?", re.M | re.S)
@@ -333,3 +340,49 @@ def codes_page(root):
         said = re.sub(r"[|*\[]", r"\\\g<0>", SENTENCES.get(code) or sentence or "…").replace("<", "&lt;")
         text += f"| `{code}` | {', '.join(sorted(endings or {IN_A_LIST}))} | {said} |\n"
     return text
+
+
+HEADERS = [
+    ("For plugins", ["plugin/module.h", "plugin/encoder.h", "plugin/field.h", "plugin/mlp/field.h", "plugin/sampler.h", "plugin/head.h", "plugin/loss.h",
+                     "scene/dataset.h", "plugin/grouping.h", "plugin/registry.h", "plugin/kernels.h", "loading/posed_photographs.h",
+                     "labels/label_files.h", "config/params.h", "core/view.h", "core/error.h", "core/rng.h"]),
+    ("For programs", ["session/trainer.h", "run/run.h", "eval/channel_query.h", "scene/camera.h"]),
+]
+
+
+def cpp_page():
+    """The C++ interface: the headers of plugins and programs without what is private."""
+    out = ("# C++ interface\n\nHeaders are installed below `include/semfield`; these are shown without what is private. The [plugin quick start](../guide/plugin_quick_start.md) and "
+           "[training from C++](../guide/driving_training.md) show their use; what stays from version to version is in [promises](compatibility.md#promises).\n")
+    for group, headers in HEADERS:
+        out += f"\n## {group}\n"
+        for header in headers:
+            with open(os.path.join(REPOSITORY, "framework", header), encoding="utf-8") as file:
+                about, _, text = file.read().partition("#pragma once\n")
+            text = re.sub(r"^ private:\n.*?(?=^};)", "", re.sub(r"^(?:#include .*|namespace .*|}  // namespace.*)\n", "", text, flags=re.M), flags=re.M | re.S)
+            text = re.sub(r"\n{3,}", "\n\n", text).strip()
+            out += f"\n### {header}\n\n{about.replace('// ', '').strip()}\n\n```cpp\n{text}\n```\n"
+    return out
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", help="what was in it is removed")
+    out = parser.parse_args().folder
+    shutil.rmtree(out, ignore_errors=True)
+    shutil.copytree(os.path.join(REPOSITORY, "docs"), os.path.join(out, "docs"))
+    pages = {path: filled(REPOSITORY, text) for path, text in pages_of(REPOSITORY).items()}
+    pages["docs/reference/codes.md"] = codes_page(REPOSITORY)
+    pages["docs/reference/cpp.md"] = cpp_page()
+    for path, text in pages.items():
+        place = pathlib.Path(out, path)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text, encoding="utf-8")
+        for linked in (resolve(path, target.partition("#")[0]) for target in links_of(text) if target[0] != "#"):
+            if os.path.isfile(os.path.join(REPOSITORY, linked)) and linked not in pages and not linked.startswith("docs/"):  # sources
+                pathlib.Path(out, linked).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(os.path.join(REPOSITORY, linked), os.path.join(out, linked))
+
+
+if __name__ == "__main__":
+    main()
