@@ -9,7 +9,6 @@
 #include <span>
 #include <utility>
 
-#include "config/compose.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "system/files.h"
@@ -352,20 +351,6 @@ std::vector<NextStep> next_of_look([[maybe_unused]] const std::string& run) {
 #endif
 }
 
-namespace {
-
-OpenedDataset dataset_of(RunConfig config, AppContext& context) {
-  OpenedDataset opened;
-  opened.config = std::move(config);
-  context.adopt(opened.config);
-  DatasetBuild build;
-  build.config_dir = opened.config.base_dir;
-  opened.dataset = opened.config.dataset.entry->dataset(*opened.config.dataset.params, build);
-  return opened;
-}
-
-}  // namespace
-
 void print_findings(const AppContext& context, const Diagnostics& diagnostics) {
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
 }
@@ -376,23 +361,6 @@ OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, Op
   context.adopt(opened.session.config);
   print_findings(context, diagnostics);
   return opened;
-}
-
-OpenedDataset dataset_of(const std::string& config, const std::vector<std::string>& set, AppContext& context) {
-  return dataset_of(load_run_config(config, set, context.registry), context);
-}
-
-OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context) {
-  return dataset_of(run_config_of(compose_config_tree(tree, set), context.registry), context);
-}
-
-LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics) {
-  SceneLoadOptions load = opened.config.load;
-  load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
-  load.with_instances = opened.config.labels.needs_instances();
-  LoadedScene scene = load_scene(*opened.dataset, load, diagnostics);
-  open_label_files(scene, opened.config.labels, diagnostics);
-  return scene;
 }
 
 }  // namespace semfield::app

@@ -50,24 +50,12 @@ std::vector<NextStep> next_of_run(const std::string& run, bool held_out);
 /// The run in the browser, where the build has pages that are served.
 std::vector<NextStep> next_of_look(const std::string& run);
 
-// A run, and the dataset that a configuration names, opened for a verb: it works under their limits from here on.
+// A run opened for a verb: it works under its limits from here on.
 
 /// What was found, as notes.
 void print_findings(const AppContext& context, const Diagnostics& diagnostics);
 
 /// As open_run (run/run_scores.h), by all processes of the launcher; findings are printed.
 OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context);
-
-struct OpenedDataset {
-  RunConfig config;
-  std::unique_ptr<Dataset> dataset;
-};
-
-OpenedDataset dataset_of(const std::string& config, const std::vector<std::string>& set, AppContext& context);
-/// The same of a tree that no file holds.
-OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context);
-
-/// The scene with what its label steps require.
-LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics);
 
 }  // namespace semfield::app

@@ -14,6 +14,7 @@
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"
+#include "config/compose.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "loading/capture/fix_cameras.h"
@@ -27,6 +28,41 @@ namespace semfield::app {
 // what training would find wrong with it.
 
 namespace {
+
+// The dataset that a configuration names: the verb works under its limits from here on.
+struct OpenedDataset {
+  RunConfig config;
+  std::unique_ptr<Dataset> dataset;
+};
+
+OpenedDataset dataset_of(RunConfig config, AppContext& context) {
+  OpenedDataset opened;
+  opened.config = std::move(config);
+  context.adopt(opened.config);
+  DatasetBuild build;
+  build.config_dir = opened.config.base_dir;
+  opened.dataset = opened.config.dataset.entry->dataset(*opened.config.dataset.params, build);
+  return opened;
+}
+
+OpenedDataset dataset_of(const std::string& config, const std::vector<std::string>& set, AppContext& context) {
+  return dataset_of(load_run_config(config, set, context.registry), context);
+}
+
+// The same of a tree that no file holds.
+OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context) {
+  return dataset_of(run_config_of(compose_config_tree(tree, set), context.registry), context);
+}
+
+// The scene with what its label steps require.
+LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics) {
+  SceneLoadOptions load = opened.config.load;
+  load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
+  load.with_instances = opened.config.labels.needs_instances();
+  LoadedScene scene = load_scene(*opened.dataset, load, diagnostics);
+  open_label_files(scene, opened.config.labels, diagnostics);
+  return scene;
+}
 
 struct InitOptions : Options {
   using Options::Options;
