@@ -101,6 +101,17 @@ def test_parameters_are_all_told() -> None:
     assert wrong == []
 
 
+def test_names_of_the_guide_are_there() -> None:
+    """Every name `sf.NAME` and `run.NAME` of the guide, whose code docs_commands_of_docs/guide/python.md runs, is there."""
+    guide = Path(__file__).resolve().parents[2] / "docs" / "guide" / "python.md"
+    if not guide.is_file():
+        pytest.skip(f"there is no {guide}: its names are not tested")
+    text = guide.read_text()
+    assert all(hasattr(sf, name) for name in re.findall(r"\bsf\.(\w+)", text))
+    attributes = {*dir(sf.Run), "name", "bounds", "near_m", "far_m", "metric", "device", "left_out", "has_semantics"}
+    assert set(re.findall(r"\brun\.(\w+)", text)) <= attributes
+
+
 def test_types_hold() -> None:
     """mypy --strict on the package (Debian's package mypy)."""
     try:
