@@ -524,7 +524,8 @@ void print_peers(const BenchStepResults& results) {
   for (const Row& ours : results.steps) {
     for (const Row& row : results.peers) {
       if (row.net == ours.net && row.precision == ours.precision) {
-        std::printf("ours / peer's rate, %s %s: %.2f\n", row.net.c_str(), row.precision.c_str(), ours.rate() / row.rate());
+        std::printf("ours / peer's rate, %s %s: %.2f\n", row.net.c_str(), row.precision.c_str(),
+                    ours.rate() / row.rate());
       }
     }
   }
