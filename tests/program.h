@@ -64,12 +64,8 @@ using Parts = std::initializer_list<std::string_view>;
 
 }  // namespace semfield::testing_program
 
-/// EXPECT_ENDED(run(words), 73, "'runs/demo' is there already"): a program's exit code, and what its standard error
-/// holds.
-#define EXPECT_ENDED(result, exit_code, ...)                                                                          \
-  EXPECT_EQ(::semfield::testing_program::unended(result, exit_code, ::semfield::testing_program::Parts{__VA_ARGS__}), \
-            "")
-/// EXPECT_REFUSED(prepare(), 65, "capture.poses.none", "4 attempts"): the same, and the code of the line.
+/// EXPECT_REFUSED(prepare(), 65, "capture.poses.none", "4 attempts"): a program's exit code, and what the
+/// line of its standard error that ends with the code holds.
 #define EXPECT_REFUSED(result, exit_code, code, ...)                                               \
   EXPECT_EQ(::semfield::testing_program::unended(result, exit_code, ::semfield::Code(code),        \
                                                  ::semfield::testing_program::Parts{__VA_ARGS__}), \

@@ -116,6 +116,23 @@ class Process(ProgramCase):
         self.assertFalse((self.dir / "x").exists())
 
 
+@unittest.skipIf(os.environ.get("SEMFIELD_SANITIZE"), "a sanitizer's memory would be counted as the program's")
+@unittest.skipIf(os.environ.get("SEMFIELD_WITH_RAYCAST") == "0", "the shipped room is not at hand")
+class Memory(ProgramCase):
+    def test_the_first_steps_tell_what_they_took_and_end_a_run_that_may_not_take_it(self):
+        train = (f"train {SOURCE}/configs/quickstart.yaml --set scene.frames=10 --set scene.test_frames=1 --set "
+                 "scene.width_px=64 --set scene.height_px=48 --threads 2 --steps 2")
+        said = self.ok(f"{train} --out made").err
+        took = re.search("after the first steps the process holds ([0-9]+) MB of memory", said)
+        self.assertIsNotNone(took, said)
+        self.ended(f"{train} --memory {0.97 * int(took[1]) / 1024} --out over", 69, "runtime.memory_gb allows",
+                   "lower train.rays")
+
+    def test_pixels_that_do_not_fit_are_refused_before_they_are_read(self):
+        self.ended(f"train {SOURCE}/configs/quickstart.yaml --dry-run --memory 0.2 --set scene.frames=900 --set "
+                   "scene.width_px=1600 --set scene.height_px=1200", 69, "frames would take", "scene.load.downscale")
+
+
 class ScoreLines(ProgramCase):
     """Those of a sample cannot be taken for those of the split."""
 

@@ -1,7 +1,6 @@
 // What is left out changes no bit of what is kept: pairs of runs, one with the component forced back in.
 
 #include <cstring>
-#include <regex>
 
 #include "compute/parallel.h"
 #include "datasets/obj_room/obj_room.h"
@@ -10,7 +9,9 @@
 #include "run/run_scores.h"
 #include "session/assembly.h"
 #include "session/settings/choices.h"
+#include "session/settings/run_identity.h"
 #include "tests/program.h"
+#include "tests/says.h"
 #include "tests/session/train_testing.h"
 #include "tests/threads.h"
 
@@ -326,54 +327,6 @@ TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
 TEST(LeaveOut, KeepRefusesAnUnknownName) {
   EXPECT_HAS(error_of(ErrorKind::usage, [&] { open_text(hash_config(), {"undistorsion"}); }),
              "did you mean 'undistortion'?");
-}
-
-// What does not fit into memory is refused, and how many lanes a run gets.
-
-using testing_program::semfield_run;
-
-// The shipped room, few small frames.
-const std::string kSmallRun = " " + shell_word(SEMFIELD_SOURCE_DIR "/configs/quickstart.yaml") +
-                              " --set scene.frames=10 --set scene.test_frames=1 --set scene.width_px=64 --set "
-                              "scene.height_px=48 --threads 2";
-
-// A sanitizer's own memory is several times the program's and grows with every allocation.
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define SEMFIELD_NEEDS_PLAIN_MEMORY() GTEST_SKIP() << "a sanitizer's memory would be counted as the program's"
-#else
-#define SEMFIELD_NEEDS_PLAIN_MEMORY() static_assert(true)
-#endif
-
-class MemoryOfRuns : public testing::Test {
- protected:
-  void SetUp() override {
-    if (!raycast_available()) GTEST_SKIP() << "this build reads no meshes, so the shipped room is not at hand";
-  }
-};
-
-TEST_F(MemoryOfRuns, TheFirstStepsTellWhatTheyTookAndEndARunThatMayNotTakeIt) {
-  SEMFIELD_NEEDS_PLAIN_MEMORY();
-  const TempDir folder;
-  const auto made = semfield_run("train" + kSmallRun + " --steps 2 --out made", folder.path());
-  EXPECT_EQ(made.code, 0) << made.err;
-  std::smatch took;
-  const std::string said = made.out + made.err;
-  ASSERT_TRUE(
-      std::regex_search(said, took, std::regex("after the first steps the process holds ([0-9]+) MB of memory")))
-      << said;
-  const std::string less = std::to_string(0.97 * std::stod(took[1]) / 1024);
-  const auto refused = semfield_run("train" + kSmallRun + " --steps 2 --memory " + less + " --out over", folder.path());
-  EXPECT_ENDED(refused, 69, "runtime.memory_gb allows", "lower train.rays");
-}
-
-TEST_F(MemoryOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
-  SEMFIELD_NEEDS_PLAIN_MEMORY();
-  const TempDir folder;
-  const auto refused = semfield_run("train " + shell_word(SEMFIELD_SOURCE_DIR "/configs/quickstart.yaml") +
-                                        " --dry-run --memory 0.2 --set scene.frames=900 --set "
-                                        "scene.width_px=1600 --set scene.height_px=1200",
-                                    folder.path());
-  EXPECT_ENDED(refused, 69, "frames would take", "scene.load.downscale");
 }
 
 // How many gradient lanes a run gets, the units of work that threads share, and the memory that they take.
