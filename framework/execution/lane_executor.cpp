@@ -226,7 +226,7 @@ void LaneExecutor<Real>::ask(const Pass<Real>& pass, const StepContext& ctx, Vie
   const auto answer = [&](std::int64_t begin, std::int64_t end) {
     parallel_for((end - begin + kPiece - 1) / kPiece, [&](std::int64_t i) {
       StepContext local = ctx;
-      const WorkspacePool::Loan arena(queries_);
+      const auto arena = queries_.borrow();
       local.workspace = arena.get();
       const std::int64_t first = begin + i * kPiece, count = std::min(kPiece, end - first);
       pass.density(local, positions.row_range(first, count), sigma.row_range(first, count));
