@@ -1,4 +1,5 @@
-// Packs the analytic room for tests in Python (program.py): analytic_room FILE [without_depth|without_labels|FRAMES].
+// Packs the analytic room for tests in Python (program.py):
+// analytic_room FILE [without_depth|without_labels|instances|FRAMES]. `instances`: its classes are objects too.
 #include <cstdlib>
 #include <string_view>
 
@@ -15,5 +16,10 @@ int main(int argc, char** argv) {
   Diagnostics diagnostics;
   SceneInfo info = scene->open(diagnostics);
   if (!options.with_labels) info.classes = {};
-  write_packed_scene(argv[1], info, [&](int frame, FrameBuffer& out) { scene->read(frame, out); });
+  for (FrameInfo& frame : info.frames) frame.has_instances = word == "instances";
+  write_packed_scene(argv[1], info, [&](int frame, FrameBuffer& out) {
+    scene->read(frame, out);
+    if (word != "instances") return;
+    for (const std::int16_t label : out.label) out.instance.push_back(static_cast<std::int32_t>(label + 1));
+  });
 }

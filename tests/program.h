@@ -46,27 +46,4 @@ inline Result succeeded(Result result) {
   return result;
 }
 
-/// Tests of the program in a folder of their own.
-struct ProgramInAFolder : ::testing::Test {
-  const TempDir dir;
-  Result semfield(const std::string& words, const std::string& before = "") const {
-    return semfield_run(words, dir.path(), before);
-  }
-};
-
-/// "" when it ended with that exit code, and its standard error is as unsaid() of `said` has it.
-template <class... Said>
-std::string unended(const Result& result, int exit_code, const Said&... said) {
-  if (result.code != exit_code) return "exit code " + std::to_string(result.code) + ": " + result.err + result.out;
-  return unsaid(result.err, said...);
-}
-using Parts = std::initializer_list<std::string_view>;
-
 }  // namespace semfield::testing_program
-
-/// EXPECT_REFUSED(prepare(), 65, "capture.poses.none", "4 attempts"): a program's exit code, and what the
-/// line of its standard error that ends with the code holds.
-#define EXPECT_REFUSED(result, exit_code, code, ...)                                               \
-  EXPECT_EQ(::semfield::testing_program::unended(result, exit_code, ::semfield::Code(code),        \
-                                                 ::semfield::testing_program::Parts{__VA_ARGS__}), \
-            "")

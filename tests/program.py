@@ -50,18 +50,19 @@ def png(path, width, height, color, bits, rows):
 
 
 def png_bytes(path):
-    """The pixels of an image of 8 bits of grey."""
-    data, rows, at = path.read_bytes(), [], 8
-    width, packed = struct.unpack_from(">I", data, 16)[0], b""
+    """Of the pixels of an image of grey or RGB, row by row."""
+    data, rows, at, packed = path.read_bytes(), [], 8, b""
+    width, _, bits, color = struct.unpack_from(">IIBB", data, 16)
+    step = (3 if color == 2 else 1) * bits // 8
     while at < len(data):
         size, kind = struct.unpack_from(">I4s", data, at)
         packed += data[at + 8:at + 8 + size] if kind == b"IDAT" else b""
         at += size + 12
-    lines, above = zlib.decompress(packed), bytes(width)
-    for begin in range(0, len(lines), width + 1):
+    lines, above = zlib.decompress(packed), bytes(width * step)
+    for begin in range(0, len(lines), width * step + 1):
         row = bytearray()
-        for x, value in enumerate(lines[begin + 1:begin + 1 + width]):
-            left, corner, up = row[-1] if x else 0, above[x - 1] if x else 0, above[x]
+        for x, value in enumerate(lines[begin + 1:begin + 1 + width * step]):
+            left, corner, up = row[x - step] if x >= step else 0, above[x - step] if x >= step else 0, above[x]
             near = min((left, up, corner), key=lambda one: abs(left + up - corner - one))
             row.append(value + (0, left, up, (left + up) // 2, near)[lines[begin]] & 255)
         rows.append(above := bytes(row))

@@ -1,30 +1,23 @@
 // Clicks as objects: which points of a surface a click means, and clicks from a file.
 
-#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <nlohmann/json.hpp>
 #include <set>
 
 #include "formats/image_io.h"
 #include "formats/npz.h"
-#include "loading/packed_scene.h"
 #include "objects/find_objects.h"
 #include "objects/object_network.h"
 #include "objects/object_score.h"
 #include "objects/object_set.h"
 #include "objects/segments.h"
 #include "scene/scene.h"
-#include "system/files.h"
-#include "testkit/analytic_scene.h"
 #include "testkit/compare.h"
 #include "tests/linked_registry.h"
-#include "tests/program.h"
 #include "tests/says.h"
-#include "tests/session/train_testing.h"
 #include "tests/temp_dir.h"
 #include "tests/threads.h"
 
@@ -693,148 +686,6 @@ TEST(ReadSegments, WhatIsWrongIsNamed) {
       dir.write("c.json", R"({"images": [], "annotations": [{"image_id": 7, "segmentation": []}]})");
   EXPECT_ERROR(read_segments(coco, "", scene_info()), "labels.annotation.reference", "annotation 1", "7");
   EXPECT_ERROR(read_segments(dir.path(), "{nome}.png", scene_info()), "labels.pattern.invalid", "nome");
-}
-
-// `semfield objects` as a user runs it: files, figures, segments of a folder, refusals.
-
-namespace fs = std::filesystem;
-using testing_program::Result;
-
-constexpr const char* kQuick = " --set objects.steps=150 --set objects.points=3000 --set objects.rays=20000 ";
-
-// A trained run of the packed analytic room, whose instances are its classes, and the same as a folder of images.
-void make_run(const TempDir& dir, bool with_instances) {
-  testkit::AnalyticSceneOptions options;
-  options.with_depth = true;
-  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
-  Diagnostics diagnostics;
-  SceneInfo info = scene->open(diagnostics);
-  for (FrameInfo& frame : info.frames) frame.has_instances = with_instances;
-  fs::create_directories(dir / "segments");
-  write_packed_scene(dir / "room.sfpack", info, [&](int f, FrameBuffer& buffer) {
-    scene->read(f, buffer);
-    std::vector<std::uint16_t> ids;
-    for (const std::int16_t label : buffer.label) ids.push_back(static_cast<std::uint16_t>(label + 1));
-    if (with_instances) buffer.instance.assign(ids.begin(), ids.end());
-    const std::string name = output_name(info.frames[static_cast<std::size_t>(f)].name);
-    write_png_gray16(dir / ("segments/" + name + ".png"), buffer.width_px, buffer.height_px, ids);
-  });
-  std::string yaml = testing_train::with_scene(
-      testing_train::hash_config("losses: [{type: depth, weight: 0.3}]\nreport: {eval_every_s: 0, strips: 0}\n"),
-      "{type: packed, file: room.sfpack}");
-  write_file_atomic(dir / "config.yaml", yaml);
-  const Result trained =
-      succeeded(testing_program::semfield_run("train config.yaml --out run --steps 150 --quiet", dir.path()));
-}
-
-using ObjectsVerb = testing_program::ProgramInAFolder;
-
-TEST_F(ObjectsVerb, FilesFiguresAndTheSameAgain) {
-  make_run(dir, true);
-  const Result r = succeeded(semfield(std::string("objects run --score --pictures --json") + kQuick));
-  const auto json = nlohmann::json::parse(r.out);
-  EXPECT_GT(json.at("score").at("mcov").get<double>(), 0.3);
-  EXPECT_GT(json.at("objects").get<int>(), 0);
-  const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json"));
-  ASSERT_EQ(table.at("objects").size(), json.at("objects").get<std::size_t>());
-  const auto panoptic = nlohmann::json::parse(read_text_file(dir / "run/objects/panoptic.json"));
-  ASSERT_FALSE(panoptic.at("images").empty());
-  const std::string name = panoptic.at("images")[0].at("file_name");
-  const Image<std::uint16_t> ids = read_ids(dir / ("run/objects/instance/" + name));
-  const Image<std::uint8_t> colors = read_rgb(dir / ("run/objects/panoptic/" + name));
-  for (std::size_t i = 0; i < ids.pixels.size(); ++i) {
-    if (ids.pixels[i] == 0) continue;
-    EXPECT_EQ(colors.pixels[3 * i] + 256 * colors.pixels[3 * i + 1], ids.pixels[i]);
-  }
-  // Strips show photograph, segments, objects and truth, four panels of the view's size.
-  const Image<std::uint8_t> strip = read_rgb(dir / ("run/objects/pictures/" + name));
-  EXPECT_EQ(strip.width_px, 4 * ids.width_px + 3 * 4);
-  EXPECT_EQ(strip.height_px, ids.height_px);
-  // Found anew, the same objects get the edits that were made of them; others are refused.
-  const std::string first = read_text_file(dir / "run/objects/objects.csv");
-  ObjectEdits edits{read_edited_objects(dir / "run/objects", 1024).edits.digest, {}};
-  edits.edits.push_back(parse_object_edit(R"({"do": "rename", "object": 1, "name": "mine"})", "test"));
-  fs::create_directories(dir / "again");
-  write_file_atomic(dir / "again/edits.json", object_edits_text(edits));
-  const Result edited = succeeded(semfield(std::string("objects run --out again --json") + kQuick));
-  EXPECT_EQ(nlohmann::json::parse(edited.out).at("edits"), 1);
-  EXPECT_HAS(read_text_file(dir / "again/objects.csv"), "1,mine,");
-  EXPECT_HAS(read_text_file(dir / "again/objects.json"), "\"mine\"");
-  // Files of the surface have the names of the edits.
-  write_file_atomic(dir / "run/objects/edits.json", object_edits_text(edits));
-  const Result mesh = succeeded(semfield("mesh run --out room.glb --color photo --resolution 32"));
-  EXPECT_HAS(read_text_file(dir / "room.glb"), "\"mine\"");
-  EXPECT_HAS(read_text_file(dir / "room.json"), "\"mine\"");
-  {
-    FolderLock alone;
-    ASSERT_EQ(alone.take(dir / "run/objects"), 0);
-    EXPECT_REFUSED(semfield(std::string("objects run") + kQuick), 73, "objects.folder.busy", "run/objects");
-  }
-  fs::remove(dir / "run/objects/edits.json");
-  EXPECT_REFUSED(semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000"), 65,
-                 "objects.edits.foreign", "again/edits.json");
-  fs::remove_all(dir / "again");
-  ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick).code, 0);
-  EXPECT_EQ(read_text_file(dir / "again/objects.csv"), first) << "threads changed a number";
-}
-
-TEST_F(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
-  make_run(dir, false);
-  for (const char* method : {"", "--set 'objects.method={type: assignment, slots: 12}'"}) {
-    const Result r = succeeded(semfield(std::string("objects run --segments segments ") + method + kQuick));
-    EXPECT_HAS(r.out, "objects: objects=", "segments=");
-  }
-  EXPECT_REFUSED(semfield(std::string("objects run") + kQuick), 65, "objects.segments.none", "--segments");
-  EXPECT_REFUSED(semfield(std::string("objects run --segments segments --score --out scored") + kQuick), 65,
-                 "objects.truth.none");
-  EXPECT_FALSE(fs::exists(dir / "scored")) << "refused before anything is written";
-}
-
-// A click into the middle of what is most of a class in a training view, as a line of clicks.jsonl.
-std::string click_on(Dataset& scene, const SceneInfo& info, int class_index, const std::string& more) {
-  std::vector<std::size_t> best;
-  std::string line;
-  for (std::size_t f = 0; f < info.frames.size(); ++f) {
-    FrameBuffer buffer;
-    scene.read(static_cast<int>(f), buffer);
-    std::vector<std::size_t> its;
-    for (std::size_t i = 0; i < buffer.label.size(); ++i)
-      if (buffer.label[i] == class_index) its.push_back(i);
-    if (info.frames[f].split != Split::train || its.size() <= best.size()) continue;
-    best = its;
-    const auto width = static_cast<std::size_t>(buffer.width_px);
-    std::size_t column = 0, row = 0;
-    for (const std::size_t i : its) {
-      column += i % width;
-      row += i / width;
-    }
-    const std::size_t middle = row / its.size() * width + column / its.size();
-    line = fmt::format(
-        R"({{"id":"c{}","type":"click","frame":"{}","size":[{},{}],"points":[[{}.5,{}.5]],"radius":1,"class":"{}"{}}})"
-        "\n",
-        class_index, info.frames[f].name, buffer.width_px, buffer.height_px, middle % width, middle / width,
-        info.classes.valid(class_index).name, more);
-  }
-  return line;
-}
-
-TEST_F(ObjectsVerb, ThingsThatAPersonClicks) {
-  make_run(dir, false);
-  testkit::AnalyticSceneOptions options;
-  options.with_depth = true;
-  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
-  Diagnostics diagnostics;
-  const SceneInfo info = scene->open(diagnostics);
-  const std::string wall = click_on(*scene, info, 0, ""), ball = click_on(*scene, info, 3, ""),
-                    crate = click_on(*scene, info, 4, R"(,"object":2)");
-  dir.write("clicks.jsonl", wall + crate + ball);
-  const Result r = succeeded(semfield(std::string("objects run --segments clicks.jsonl --json") + kQuick));
-  EXPECT_EQ(nlohmann::json::parse(r.out).at("objects"), 2) << "a wall is no object";
-  const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json")).at("objects");
-  ASSERT_EQ(table.size(), 2u);
-  EXPECT_EQ(table[0].at("class"), info.classes.valid(4).name) << "in the order of the clicks";
-  EXPECT_EQ(table[1].at("class"), info.classes.valid(3).name);
-  EXPECT_GT(table[1].at("points").get<int>(), 10);
 }
 
 }  // namespace
