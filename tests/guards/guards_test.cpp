@@ -10,7 +10,9 @@
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 
-namespace semfield::testing_guards {
+namespace semfield {
+
+using namespace testing_train;
 
 /// What the wrappers spoil now. The address is a ray, so that it is the same in a tile, in a whole batch and alone.
 struct Poison {
@@ -268,13 +270,7 @@ void expect_caught(Subject& subject, const std::string& site, const std::vector<
   EXPECT_TRUE(Snapshot(subject) == before) << site << " changed the state";
 }
 
-}  // namespace semfield::testing_guards
-
-namespace semfield {
-
 // A bad number in every tensor of a run and in every stage of a pass: each is named.
-
-using namespace testing_guards;
 
 std::string with_rays(std::string yaml, const std::string& rays) {
   const std::size_t at = yaml.find("rays: ") + 6;
@@ -611,10 +607,6 @@ TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
   }
 }
 
-namespace {
-
-using namespace testing_train;
-
 // Nothing to see and nothing seen: a black scene in front of a black background needs no density.
 TEST(DeadDensity, AnEmptySceneIsNoFault) {
   Registry registry = make_registry();
@@ -756,5 +748,4 @@ TEST(Resolution, BandsBeyondTheCoordinatesAreSaid) {
   EXPECT_EQ(s.chosen[0].rfind("passes.coarse.position: warning: effective_bands is ", 0), 0u) << s.chosen[0];
 }
 
-}  // namespace
 }  // namespace semfield

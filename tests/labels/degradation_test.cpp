@@ -10,7 +10,7 @@
 #include "tests/labels/reader_case.h"
 #include "tests/says.h"
 
-namespace semfield::testing_degrade {
+namespace semfield {
 namespace {
 
 /// The step of a type with its keys as YAML ("{ratio: 0.5}"); every error is thrown.
@@ -87,15 +87,8 @@ inline bool same_labels(const LabelSet& a, const LabelSet& b) {
   return true;
 }
 
-}  // namespace
-}  // namespace semfield::testing_degrade
-
-namespace semfield {
-namespace {
-
 // Every degradation on cases small enough to be worked out by hand, and the exact counts that it promises.
 
-using namespace testing_degrade;
 using Labels = std::vector<std::int16_t>;
 
 constexpr std::int16_t V = kVoid;

@@ -18,8 +18,11 @@
 #include "tests/says.h"
 #include "tests/scene/image_bytes.h"
 
-namespace semfield::testing_labels {
+namespace semfield {
 namespace {
+
+using namespace testing_labels;
+using namespace testing_room;
 
 /// Adds the chunk eXIf to a PNG, before its last chunk.
 inline void set_orientation(const std::string& path, int orientation) {
@@ -43,16 +46,7 @@ inline ShownCorners shown_corners(int orientation, int w, int h) {
   return all[orientation - 1];
 }
 
-}  // namespace
-}  // namespace semfield::testing_labels
-
-namespace semfield {
-namespace {
-
 // Labels out and in again: regions traced exactly, files read back by the project and by a Python script of its own.
-
-using namespace testing_labels;
-using namespace testing_room;
 
 LabelledFrame drawn(const std::string& name, const Rows& rows) {
   LabelledFrame frame{name, "", static_cast<std::int32_t>(rows[0].size()), static_cast<std::int32_t>(rows.size()), {}};

@@ -630,13 +630,9 @@ TEST(Sights, FollowTheLensAndTheLimitsAndNotTheThreads) {
   set_thread_count(threads);
 }
 
-}  // namespace
-}  // namespace semfield
-
-namespace semfield::app {
-namespace {
-
 // The page of a surface as text: what stands in it, whatever the names in the scene are.
+
+using namespace app;
 
 std::string element(const std::string& page, const std::string& open) {
   const std::size_t begin = page.find(open);
@@ -677,4 +673,4 @@ TEST(ScenePage, NamesOfAnySceneStayNames) {
 }
 
 }  // namespace
-}  // namespace semfield::app
+}  // namespace semfield

@@ -382,16 +382,10 @@ TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
   EXPECT_THROW((void)values_of_objects(R"({"objects": 7, "seconds": {"all": 3}})"), Error);
 }
 
-}  // namespace
-}  // namespace semfield
-
-namespace semfield::app {
-namespace {
-
 // Which cell runs where and when. A shell script stands for the program, so cells take moments and devices need not be
 // there.
 
-namespace fs = std::filesystem;
+using namespace app;
 
 // Trains in a moment: `train CONFIG --out RUN ...`. It logs its beginning and end with device and cell, fails where the
 // configuration says "broken", and otherwise leaves the figures of an evaluation.
@@ -651,4 +645,4 @@ TEST_F(CellPool, ObjectsWaitForTheirRun) {
 }
 
 }  // namespace
-}  // namespace semfield::app
+}  // namespace semfield
