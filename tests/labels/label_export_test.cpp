@@ -3,6 +3,7 @@
 #include "labels/label_export.h"
 
 #include <algorithm>
+#include <cstdlib>
 
 #include "core/rng.h"
 #include "core/text.h"
