@@ -129,7 +129,7 @@ std::string unused(const std::string& run) {
 
 // Training, and labelling in a run of its own, so that either works after the other. A run that is there already keeps
 // its folder. `name` is of its runs; `set` is what --set and its short forms gave.
-std::vector<NextStep> next_of_config(const std::string& file, const std::string& name, bool labels,
+std::vector<NextStep> next_of_config(const std::string& file, const std::string& name, [[maybe_unused]] bool labels,
                                      const std::vector<std::string>& set = {},
                                      const std::vector<std::string>& modules = {}) {
   std::string words = " " + shell_word(file);

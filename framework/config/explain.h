@@ -11,9 +11,6 @@ namespace semfield {
 
 /// What a node is, for messages: "nothing", "'12'", "text '12'", "a list", "a map".
 std::string kind_text(const ConfigNode& node);
-/// An error with "did you mean" for each key of `map` that is not known: "<what> 'KEY'".
-void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const std::vector<std::string>& known,
-                         Diagnostics& diagnostics);
 
 /// The tree as YAML with the origin of every value as an aligned comment: "  levels: 8   # room.yaml:7:13"; values of
 /// no file (filled in by the program) say "default". Parsing the text gives an equal tree.
@@ -25,7 +22,6 @@ ConfigNode with_origins(const ConfigNode& resolved, const ConfigNode& written);
 /// In place of a value that one side lacks.
 inline constexpr const char* kAbsent = "(absent)";
 
-/// A value that differs, in one line of YAML on either side, or kAbsent.
 /// A value of a tree that `--set KEY=VALUE` takes as it stands here.
 struct ConfigSetting {
   std::string key, value;
@@ -34,6 +30,7 @@ struct ConfigSetting {
 /// Every value, a list of plain values being one.
 std::vector<ConfigSetting> config_settings(const ConfigNode& tree);
 
+/// A value that differs, in one line of YAML on either side, or kAbsent.
 struct ConfigDifference {
   std::string key;  ///< path; "(top)" for the whole tree
   std::string left, right;

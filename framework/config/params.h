@@ -96,6 +96,10 @@ using Describe = std::function<void(ParamVisitor&)>;
 void read_params(const ConfigNode& node, const std::string& path, const Describe& describe, Diagnostics& diagnostics,
                  const std::vector<std::string>& other_keys = {});
 
+/// An error with "did you mean" for each key of `map` that is not known: "<what> 'KEY'".
+void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const std::vector<std::string>& known,
+                         Diagnostics& diagnostics);
+
 /// The resolved values as a tree: every parameter, defaults included, in declaration order.
 ConfigNode params_to_config(const Describe& describe);
 

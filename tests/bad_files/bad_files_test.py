@@ -278,7 +278,10 @@ def main():
     bases, cases = tables[TABLE]
     assert all(one.says for one in cases)
     with tempfile.TemporaryDirectory() as folder:
-        answers = [problems_of(one, bases, pathlib.Path(folder)) for one in cases]
+        answers = []
+        for one in cases:
+            unread = one.follows and answers[-1] is None
+            answers.append(None if unread else problems_of(one, bases, pathlib.Path(folder)))
     known = [answer for answer in answers if answer is not None]
     problems = [problem for found, *_ in known for problem in found]
     print("\n".join(problems), end="\n" if problems else "")

@@ -15,7 +15,6 @@
 #include "surface/surface_graph.h"
 #include "testkit/analytic_scene.h"
 #include "tests/datasets/named_dataset.h"
-#include "tests/program.h"
 #include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 

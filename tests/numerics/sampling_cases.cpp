@@ -4,6 +4,7 @@
 
 #include "compute/isa.h"
 #include "core/non_copyable.h"
+#include "execution/lane_executor.h"
 #include "loading/frame_source.h"
 #include "losses/semantic_cross_entropy.h"
 #include "plugins/samplers/importance/importance_kernels.h"
@@ -555,10 +556,10 @@ IN_BOTH_PRECISIONS(empty_batch) {
       }
       return largest;
     };
-    const StepLosses none = model->gradients(0, Batch(0, 0, 0).view());
+    const StepLosses none = model->lanes().gradients(0, Batch(0, 0, 0).view());
     for (const double loss : {none.total, none.color, none.semantic, none.mse}) run.measure(loss, 0, "loss of no rays");
     run.measure(largest_gradient(), 0, "its gradient");
-    const StepLosses dark = model->gradients(1, Batch(20, 1, 1).view());
+    const StepLosses dark = model->lanes().gradients(1, Batch(20, 1, 1).view());
     run.measure(std::abs(dark.color - 0.0625), 1e-15, "loss of rays that see the background alone");
     run.measure(std::abs(dark.semantic), 0, "semantic loss without labels");
     run.measure(largest_gradient(), 0, "gradient of rays without samples");
@@ -568,14 +569,14 @@ IN_BOTH_PRECISIONS(empty_batch) {
     job.origin = empty.view().origin;
     job.direction = empty.view().direction;
     job.near_far = empty.view().near_far;
-    model->render(job);
+    model->executor().render(job);
     std::vector<Real> color(9, -1), opacity(3, -1);
     job.origin = rays.view().origin;
     job.direction = rays.view().direction;
     job.near_far = rays.view().near_far;
     job.color = {color.data(), 3, 3};
     job.opacity = {opacity.data(), 3, 1};
-    model->render(job);
+    model->executor().render(job);
     for (const Real c : color) run.measure(std::abs(static_cast<double>(c) - 0.5), 0, "rendered background");
     for (const Real o : opacity) run.measure(std::abs(o), 0, "rendered opacity");
   }

@@ -9,7 +9,6 @@
 #include "run/run_scores.h"
 #include "session/assembly.h"
 #include "session/settings/choices.h"
-#include "tests/program.h"
 #include "tests/says.h"
 #include "tests/session/train_testing.h"
 #include "tests/threads.h"

@@ -11,7 +11,6 @@
 #include <tuple>
 
 #include "config/config_tree.h"
-#include "config/explain.h"
 #include "core/rng.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
