@@ -1,4 +1,4 @@
-// How a file verbs/verb_*.cpp makes a verb: it defines `Verb verb_NAME()`, which the build finds.
+// How a file of verbs/ makes verbs: it defines `Verb verb_NAME()` for each, which the build finds.
 #pragma once
 
 #include <cstdint>
