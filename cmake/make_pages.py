@@ -115,7 +115,7 @@ def check(root, pages):
     return count, faults
 
 
-# Tables of pages that are made from the data in docs/evidence when the pages are built (scripts/docs_pages). A page asks for one by a comment:
+# Tables of pages that are made from the data in docs/evidence when the pages are built. A page asks for one by a comment:
 #
 #   <!-- table benchmark.json: scene seconds psnr -->                     a row per row of a list, these members as columns
 #   <!-- table objects.json: pq mcov -->                                  a row per group of runs: means over its runs
@@ -185,7 +185,7 @@ def table_of(rows, columns):
     shown = [column for asked in columns for column in found if column == asked or column.startswith(asked + ", ")]
     lost = [asked for asked in columns if not any(column.split(", ")[0] == asked for column in shown)]
     if lost:
-        raise SystemExit(f"docs_parts: no data have {', '.join(lost)}")
+        raise SystemExit(f"make_pages: no data have {', '.join(lost)}")
     named = isinstance(next(iter(cells)), str)
     out = f"|{' |' * named} {' | '.join(shown)} |\n|{'---|' * (named + len(shown))}\n"
     for name, row in cells.items():

@@ -159,6 +159,7 @@ namespace {
 }  // namespace
 
 HttpRequest HttpReader::read_head() {
+  is_head_ = false;
   std::size_t end = std::string::npos;
   for (;;) {
     while (unread_.starts_with(kLineEnd)) unread_.erase(0, kLineEnd.size());  // between requests
@@ -193,6 +194,7 @@ void HttpReader::parse_head(std::string_view head, HttpRequest& request) {
   if (http != "HTTP/1.1" && http != "HTTP/1.0") refuse(400, "the request is not of HTTP/1.1");
   keeps_ = http == "HTTP/1.1";
   request.method = first.substr(0, method);
+  is_head_ = request.method == "HEAD";
   request.path = target.substr(0, target.find('?'));
   if (request.path.size() < target.size()) request.query = target.substr(request.path.size() + 1);
   while (!head.empty()) {
@@ -460,7 +462,8 @@ void HttpServer::Impl::serve(Peer& peer) {
     try {
       return serve_one(peer, reader);
     } catch (const HttpRefusal& refusal) {
-      return refusal.status != 0 && respond(peer, {refusal.status, "text/plain", refusal.complaint + "\n"}, false);
+      return refusal.status != 0 &&
+             respond(peer, {refusal.status, "text/plain", refusal.complaint + "\n"}, false, !reader.is_head());
     }
   };
   while (serves()) enter(peer, At::idle, options.head_ms);
@@ -487,7 +490,7 @@ void HttpServer::Impl::receive(Peer& peer, std::string& unread) {
 // Whether the connection serves another request.
 bool HttpServer::Impl::serve_one(Peer& peer, HttpReader& reader) {
   HttpRequest request = reader.read_head();
-  const bool with_body = request.method != "HEAD";
+  const bool with_body = !reader.is_head();
   if (std::optional<HttpResponse> refusal = handler.refuse(request))
     return respond(peer, std::move(*refusal), reader.keeps(), with_body);
   enter(peer, At::reading, options.body_ms);

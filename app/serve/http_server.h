@@ -49,6 +49,8 @@ class HttpReader {
   bool keeps() const { return keeps_ && whole_; }
   /// The client waits for "100 Continue" before it sends the body.
   bool expects_continue() const { return expects_continue_ && !whole_; }
+  /// The answer has no body.
+  bool is_head() const { return is_head_; }
 
  private:
   void parse_head(std::string_view head, HttpRequest& request);
@@ -58,7 +60,7 @@ class HttpReader {
   std::size_t most_body_bytes_;
   std::function<void(std::string&)> more_;
   std::string unread_;
-  bool keeps_ = true, expects_continue_ = false, chunked_ = false, whole_ = false;
+  bool keeps_ = true, expects_continue_ = false, chunked_ = false, whole_ = false, is_head_ = false;
   std::size_t length_ = 0;  // of the body
 };
 

@@ -35,8 +35,8 @@
 #include "plugin/reference.h"
 #include "report/sweep.h"
 #include "session/assembly.h"
-#include "session/settings/run_config.h"
 #include "session/settings/choices.h"
+#include "session/settings/run_config.h"
 #include "system/files.h"
 #include "system/process.h"
 
@@ -51,7 +51,7 @@ namespace semfield::app {
 namespace {
 
 // What the process that asks the laws says to the one that started it: an object per line. "begun" and "ended" hold a
-// row, "told" the code with which it ends after an error that it printed; "done" says that every law was asked.
+// row; "told" says that it ends by an error, which it prints; "done" says that every law was asked.
 void send(int pipe, const char* what, const nlohmann::json& value) {
   const std::string line =
       nlohmann::json{{what, value}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
@@ -69,11 +69,8 @@ void ask(int pipe, const std::function<void(LawRequest&)>& laws) {
   request.on_row = [&](const LawRow& row) { send(pipe, "ended", row); };
   try {
     laws(request);
-  } catch (const Error& error) {
-    send(pipe, "told", static_cast<int>(error.kind()));
-    throw;
-  } catch (const std::exception&) {
-    send(pipe, "told", static_cast<int>(ErrorKind::internal));
+  } catch (...) {
+    send(pipe, "told", true);
     throw;
   }
   send(pipe, "done", true);
@@ -86,7 +83,7 @@ std::string how_it_ended(int status) {
 
 // Calls `laws` in a process forked from this one, so before any thread is there, and `on_row` here for each row that
 // it tells of. A process that ends before `laws` has returned, whatever its exit code, breaks the law under way: the
-// last row says so. Returns the code that it told, 0 where it printed no error. Throws Error(unavailable) for a process
+// last row says so. Returns its exit code, 0 where it printed no error. Throws Error(unavailable) for a process
 // that ends before the first law: `file` did not load.
 int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&)>& laws,
                    const std::function<void(const LawRow&)>& on_row) {
@@ -106,8 +103,7 @@ int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&
   }
   pipe.write = -1;
   std::optional<LawRow> under_way;
-  int told = 0;
-  bool begun = false, done = false;
+  bool begun = false, told = false, done = false;
   std::FILE* const lines = fdopen(dup(pipe.read), "r");
   char* line = nullptr;
   for (std::size_t room = 0; getline(&line, &room, lines) > 0;) {
@@ -119,7 +115,7 @@ int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&
       under_way.reset();
       on_row(said["ended"].get<LawRow>());
     }
-    told = said.value("told", told);
+    told = told || said.contains("told");
     done = done || said.contains("done");
   }
   std::free(line);
@@ -127,7 +123,8 @@ int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
   }
-  if (done || told != 0) return told;
+  if (done) return 0;
+  if (told) return WIFEXITED(status) ? WEXITSTATUS(status) : static_cast<int>(ErrorKind::internal);
   if (!begun) {
     throw Error(ErrorKind::unavailable, "plugin.module.ended",
                 "cannot load plugin '" + file + "': " + how_it_ended(status),

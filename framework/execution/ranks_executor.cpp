@@ -198,6 +198,7 @@ void RanksExecutor::set_gradient_hook(GradientHook<float> hook) {
 }
 
 void RanksExecutor::render(const RenderJob<float>& job) {
+  if (job.heads.size() > 0) return inner_.render(job);  // names of channels do not travel
   lead_job({.task = Task::render, .footprint_per_m = job.footprint_per_m}, job);
 }
 

@@ -384,13 +384,19 @@ std::unique_ptr<Pipeline<Real>> assemble(NetworkParts<Real> parts, std::vector<f
 void run_on(const RunOn& how, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
             const SceneExtent& extent, Pipeline<float>& pipeline) {
   std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the CPU
-  if (how.device.kind != Device::cpu) {
+  const auto make = [&] {
+    if (how.device.kind == Device::cpu) return;
     DeviceOptions options{how.device.ordinal, how.trainable, config.runtime.deterministic};
     options.kernels = &registry.kernels();
     options.ranks = how.ranks;
     std::vector<PassParts<float>> passes = make_passes<float>(config, registry, plan, extent, how.device.kind);
     if (how.diagnostics != nullptr) say_slow_fields(config, passes, *how.diagnostics);
     executor = cuda_library().make(pipeline, std::move(passes), options);
+  };
+  if (how.ranks != nullptr) {
+    agree(*how.ranks, make);  // before there is an executor that tells the others of its end
+  } else {
+    make();
   }
   if (how.ranks != nullptr) executor = std::make_unique<RanksExecutor>(*how.ranks, pipeline, std::move(executor));
   if (executor) pipeline.run_on(std::move(executor));

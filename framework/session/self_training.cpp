@@ -173,7 +173,6 @@ std::string SelfTraining::write(std::int64_t step) const {
 }
 
 void SelfTraining::resume(std::int64_t step, const std::string& named) {
-  std::error_code missing;
   if (is_folder(folder_)) {
     remove_stale_temporaries(folder_);
     for (const fs::directory_entry& entry : sorted_folder(folder_)) {

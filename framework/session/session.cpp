@@ -262,7 +262,7 @@ void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
   broadcast(ranks, place);
   agree(ranks, [&] { how.device = device_of(ranks, how.device); });
   how.ranks = &ranks;
-  agree(ranks, [&] { run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline); });
+  run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline);
 }
 
 // The network is built once, `last` in it; what else depends on its parts is asked of them.
@@ -399,9 +399,7 @@ void serve_session(Ranks& ranks, Registry& registry, const std::string& config) 
       s.pipeline = assemble(make_parts<float>(s.config, registry, s.plan, s.extent, std::move(last)), class_weights(s),
                             place.trainable);
     });
-    agree(ranks, [&] {
-      run_on({place.device, place.trainable, &ranks}, s.config, registry, s.plan, s.extent, *s.pipeline);
-    });
+    run_on({place.device, place.trainable, &ranks}, s.config, registry, s.plan, s.extent, *s.pipeline);
   } catch (const RankLost&) {
     throw;
   } catch (const Error&) {  // rank 0 throws it too

@@ -181,7 +181,7 @@ const SceneInputs& Trainer::inputs() {
 // Steps are queued one behind the other: drawn by the executor from the pixels that it holds, or given as batches.
 std::span<const StepLosses> Trainer::advance(std::int64_t most) {
   const WorkScope scope(work_);
-  const ComputeFloatMode mode;
+  std::optional<ComputeFloatMode> mode(std::in_place);
   const double start_s = clock_s();
   check_alive();
   hold_pixels();
@@ -219,6 +219,7 @@ std::span<const StepLosses> Trainer::advance(std::int64_t most) {
         .while_doing(fmt::format(
             "while refreshing the sampler's state after step {}, which was made; that state is as it was", step_));
   }
+  mode.reset();  // a listener has its own
   train_s_ += clock_s() - start_s;
   losses_ = results.losses.back();
   settle_length();

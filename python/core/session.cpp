@@ -4,10 +4,12 @@
 #include <sys/types.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <csignal>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <thread>
 #include <type_traits>
 
 #include "core/error.h"
@@ -115,11 +117,12 @@ class PyRun : NonCopyable {
   }
   ~PyRun() { drop(); }
 
-  // Whoever computes ends first.
+  // A call that computes in another thread ends first. One of this thread, out of which a signal's handler or a plugin
+  // closes the run, keeps it until it returns.
   void close() {
     std::unique_lock<std::mutex> lock(mutex_, std::defer_lock);
-    if (getpid() == owner_) {
-      const py::gil_scoped_release free;
+    if (getpid() == owner_ && computing_.load() != std::this_thread::get_id()) {
+      const Work working;
       lock.lock();
     }
     drop();
@@ -159,13 +162,16 @@ class PyRun : NonCopyable {
   // Means over the steps made, which are fewer than asked for after Ctrl-C; then the interrupt is raised, with the run
   // as after the last step. `to_end`: not beyond the end of the run's length.
   py::dict train(std::int64_t steps, bool to_end) {
+    const Held held = hold();
+    const Session& s = session();
     StepLosses sum;
     std::int64_t made = 0;
-    std::vector<std::int64_t> active(session().config.losses.size(), 0);
+    std::vector<std::int64_t> active(s.config.losses.size(), 0);
     Interrupt interrupt;
-    const double before_s = train_s();
+    double seconds = 0;
     computed([&] {
       Run& run = training();
+      const double before_s = run.training().train_s();
       notes_.interrupt = &interrupt;
       const std::shared_ptr<void> ended(nullptr, [&](void*) { notes_.interrupt = nullptr; });
       while (made < steps && !interrupt.came() && !(to_end && run.training().at_its_end())) {
@@ -182,31 +188,42 @@ class PyRun : NonCopyable {
           }
         }
       }
+      seconds = run.training().train_s() - before_s;
     });
     interrupt.raise();
     py::dict terms;
     const double count = static_cast<double>(std::max<std::int64_t>(made, 1));
     for (std::size_t i = 0; i < active.size(); ++i)
-      if (active[i] > 0)
-        terms[py::str(session().config.losses[i].type)] = sum.terms[i] / static_cast<double>(active[i]);
+      if (active[i] > 0) terms[py::str(s.config.losses[i].type)] = sum.terms[i] / static_cast<double>(active[i]);
     return py::dict("steps"_a = made, "loss"_a = sum.total / count, "color"_a = sum.color / count,
                     "semantic"_a = sum.semantic / count, "mse"_a = sum.mse / count, "terms"_a = terms,
-                    "seconds"_a = train_s() - before_s);
+                    "seconds"_a = seconds);
   }
   std::string save(const std::string& run_dir) {
     return computed([&] { return training().save(run_dir); });
   }
   py::dict parameters() {
+    struct Copy {
+      std::string name;
+      std::vector<float> values;
+      std::vector<py::ssize_t> shape;
+    };
+    std::vector<Copy> copies = computed([&] {  // while nobody trains
+      std::vector<Copy> made;
+      for (const TensorRef& tensor : training().training().state()) {
+        if (tensor.type != TensorType::f32) continue;
+        Copy& one = made.emplace_back(Copy{std::string(tensor.name), {}, {tensor.shape.begin(), tensor.shape.end()}});
+        one.values.resize(tensor.bytes.size() / sizeof(float));
+        std::copy_n(tensor.bytes.data(), tensor.bytes.size(), reinterpret_cast<std::byte*>(one.values.data()));
+      }
+      return made;
+    });
     py::dict out;
-    for (const TensorRef& tensor : computed([&] { return training().training().state(); })) {
-      if (tensor.type != TensorType::f32) continue;
-      std::vector<float> values(tensor.bytes.size() / sizeof(float));
-      std::copy_n(tensor.bytes.data(), tensor.bytes.size(), reinterpret_cast<std::byte*>(values.data()));
-      out[py::str(tensor.name)] = array_of(std::move(values), {tensor.shape.begin(), tensor.shape.end()});
-    }
+    for (Copy& one : copies) out[py::str(one.name)] = array_of(std::move(one.values), std::move(one.shape));
     return out;
   }
   void set_labels(std::size_t frame, const py::object& ids) {
+    const Held held = hold();  // NumPy's conversion lets other threads run
     const FrameInfo& info = session().scene.info.frames.at(frame);
     std::vector<std::int16_t> labels = indices_of(ids, session().scene.info.classes, info.camera.height_px,
                                                   info.camera.width_px, "labels of frame '" + info.name + "'");
@@ -217,6 +234,8 @@ class PyRun : NonCopyable {
   }
   // Clicks in force, and the names of the classes that have one.
   py::tuple annotations() const {
+    const Held held = hold();
+    const Session& s = session();
     const std::optional<Annotations> all = computed([&]() -> std::optional<Annotations> {
       if (!run_ || run_->annotations() == nullptr) return std::nullopt;
       return *run_->annotations();
@@ -230,7 +249,7 @@ class PyRun : NonCopyable {
       for (const PixelPoint& p : mark.points) points.append(py::make_tuple(p.x, p.y));
       const bool erases = mark.class_index == kVoid;
       marks.append(py::dict(
-          "id"_a = mark.id, "frame"_a = session().scene.info.frames[static_cast<std::size_t>(mark.frame)].name,
+          "id"_a = mark.id, "frame"_a = s.scene.info.frames[static_cast<std::size_t>(mark.frame)].name,
           "points"_a = points, "radius_px"_a = mark.radius_px,
           "class_"_a = erases ? py::object(py::none()) : py::str(all->classes().valid(mark.class_index).name)));
     }
@@ -246,6 +265,8 @@ class PyRun : NonCopyable {
   // Maps of a camera, as semfield.View names them: NumPy arrays; with `ordinal` >= 0 DLPack of that CUDA device.
   py::dict render(const py::dict& camera, const py::object& pose, int stride, bool probability,
                   const std::vector<std::string>& channels, int ordinal) {
+    const Held held = hold();
+    const Session& s = session();
     const RayCamera view{camera_of(camera), pose_of(pose, "render"), true};
     Diagnostics found;
     check_camera(view.camera, "render", found);
@@ -256,18 +277,18 @@ class PyRun : NonCopyable {
     FrameOptions options;
     options.stride = stride;
     options.probability = probability;
-    options.classes = session().classes();
+    options.classes = s.classes();
     options.channels = channels;
     Interrupt interrupt;
     options.progress = [&](double) {
       if (interrupt.came()) interrupt.raise();
     };
     RenderedFrame frame = computed([&] {
-      return render_frame(*session().pipeline, {view.camera, view.world_from_camera, view.camera.has_distortion()},
-                          session().limits, session().plan.class_of_logit, {}, options);
+      return render_frame(*s.pipeline, {view.camera, view.world_from_camera, view.camera.has_distortion()}, s.limits,
+                          s.plan.class_of_logit, {}, options);
     });
     const py::ssize_t height = frame.height_px, width = frame.width_px;
-    const ClassTable& classes = session().scene.info.classes;
+    const ClassTable& classes = s.scene.info.classes;
     const auto map = [&](py::array array) -> py::object {
       return ordinal < 0 ? py::object(std::move(array)) : on_device(array, ordinal);
     };
@@ -280,7 +301,7 @@ class PyRun : NonCopyable {
       const py::ssize_t cols = one.cols;
       out["channels"][py::str(one.name)] = map(array_of(std::move(one.values), {height, width, cols}));
     }
-    if (!session().pipeline->has_semantics()) return out;
+    if (!s.pipeline->has_semantics()) return out;
     out["label"] = map(ids_array(frame.label, classes, frame.height_px, frame.width_px));
     out["entropy"] = map(array_of(std::move(frame.entropy), {height, width}));
     out["confidence"] = map(array_of(std::move(frame.confidence), {height, width}));
@@ -293,36 +314,44 @@ class PyRun : NonCopyable {
     if (frames.empty())
       throw Error(ErrorKind::usage, "scene.split.empty", "the scene has no frames in split '" + split + "'",
                   "see run.frames");
+    const Held held = hold();
+    const Session& s = session();
     Interrupt interrupt;
+    std::int64_t at_step = 0;
+    double seconds = 0;
     const SplitScore score = computed([&] {
-      EvalJob job = session().eval_job(frames);
+      EvalJob job = s.eval_job(frames);
+      at_step = step();
+      seconds = train_s();
       job.stop = [&] { return interrupt.came(); };
-      return semfield::evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
+      return semfield::evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
     });
     interrupt.raise();
-    FinalEval detail = final_eval(score, session().scene.info.classes, split);
-    detail.step = step();
-    detail.train_s = train_s();
+    FinalEval detail = final_eval(score, s.scene.info.classes, split);
+    detail.step = at_step;
+    detail.train_s = seconds;
     return py::make_tuple(values_dict(score.values()), final_eval_json(detail));
   }
   // As semfield.Points names them.
   py::dict query(const py::object& positions, const py::object& directions) {
+    const Held held = hold();
+    const Session& s = session();
     const std::vector<Vec3d> places = vectors_of(positions, "positions");
     const std::vector<Vec3d> seen = directions.is_none() ? std::vector<Vec3d>() : vectors_of(directions, "directions");
     if (!directions.is_none() && seen.size() != places.size())
       throw Error(ErrorKind::usage, "python.array.shape",
                   "directions: expected one for each of " + std::to_string(places.size()) + " positions, got " +
                       std::to_string(seen.size()));
-    const int classes = session().classes();
+    const int classes = s.classes();
     FieldPoints found;
     Interrupt interrupt;
     computed([&] {
-      session().pipeline->executor().download(step());
+      s.pipeline->executor().download(step());
       for (std::size_t first = 0; first < places.size() && !interrupt.came(); first += kPointsBetweenLooks) {
         const std::size_t count = std::min(kPointsBetweenLooks, places.size() - first);
         const auto along = seen.empty() ? std::span<const Vec3d>() : std::span(seen).subspan(first, count);
-        const FieldPoints part = field_at(*session().pipeline, std::span(places).subspan(first, count), along,
-                                          session().limits, session().plan.class_of_logit, classes);
+        const FieldPoints part = field_at(*s.pipeline, std::span(places).subspan(first, count), along, s.limits,
+                                          s.plan.class_of_logit, classes);
         append(part.sigma, found.sigma);
         append(part.rgb, found.rgb);
         append(part.label, found.label);
@@ -336,9 +365,9 @@ class PyRun : NonCopyable {
     py::dict out("density"_a = array_of(std::move(found.sigma), {count}), "rgb"_a = none, "label"_a = none,
                  "probability"_a = none, "entropy"_a = none);
     if (!directions.is_none()) out["rgb"] = array_of(std::move(found.rgb), {count, 3});
-    if (!session().pipeline->has_semantics()) return out;
+    if (!s.pipeline->has_semantics()) return out;
     out["label"] =
-        ids_array(found.label, session().scene.info.classes, 1, static_cast<std::int32_t>(count)).attr("reshape")(-1);
+        ids_array(found.label, s.scene.info.classes, 1, static_cast<std::int32_t>(count)).attr("reshape")(-1);
     out["probability"] = array_of(std::move(found.probability), {count, classes});
     out["entropy"] = array_of(std::move(found.entropy), {count});
     return out;
@@ -411,12 +440,15 @@ class PyRun : NonCopyable {
     });
     for (const Diagnostic& finding : folded(found)) notes_.note(finding.shown());
   }
+  // What a call needs stays until it returns, whoever closes the run.
+  struct Held {
+    std::shared_ptr<Run> run;
+    std::shared_ptr<OpenedRun> loaded;
+  };
+  Held hold() const { return {run_, loaded_}; }
   // In a fork its threads and files are those of the process that opened it.
   void drop() {
-    if (getpid() != owner_) {
-      (void)run_.release();
-      (void)loaded_.release();
-    }
+    if (getpid() != owner_) (void)new Held(hold());
     run_.reset();
     loaded_.reset();
   }
@@ -440,8 +472,11 @@ class PyRun : NonCopyable {
                   "this run was opened by process " + std::to_string(owner_) + ", and this is a fork of it, process " +
                       std::to_string(getpid()),
                   "save the run before the fork and semfield.load its folder here, or open it here");
+    const Held held = hold();
     const Work working;
     const std::lock_guard lock(mutex_);
+    computing_ = std::this_thread::get_id();
+    const std::shared_ptr<void> ended(nullptr, [&](void*) { computing_ = std::thread::id(); });
     const WorkSettings settings = session().work();
     const WorkScope scope(settings);
     return call();
@@ -452,8 +487,9 @@ class PyRun : NonCopyable {
   std::string name_;
   Notes notes_;
   mutable std::mutex mutex_;
-  std::unique_ptr<Run> run_;
-  std::unique_ptr<OpenedRun> loaded_;
+  mutable std::atomic<std::thread::id> computing_{};  // of the call that has the mutex
+  std::shared_ptr<Run> run_;
+  std::shared_ptr<OpenedRun> loaded_;
 };
 
 // `semfield train` as a call.

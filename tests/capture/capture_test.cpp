@@ -12,7 +12,6 @@
 #include "loading/capture/prepare.h"
 #include "loading/colmap_model.h"
 #include "scene/camera.h"
-#include "tests/program.h"
 #include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -276,107 +275,6 @@ TEST(ColmapCameras, WrittenOnesReadBack) {
   lens.p1 = lens.p2 = 0;
   plain_write(folder + "/cameras.bin", colmap_cameras_file({{1, lens}}));
   EXPECT_EQ(read_colmap_model(folder, d).cameras.at(1), lens);
-}
-
-// `semfield prepare` with the true ffmpeg, where it is installed, and a program that stands for COLMAP and finds
-// nothing. With one that stands for ffmpeg too: tests/bad_files/capture.cases.
-
-using namespace testing_program;
-namespace fs = std::filesystem;
-
-class Prepare : public testing::Test {
- protected:
-  void SetUp() override {
-    fs::create_directories(home_ + "/bin");
-    const std::string colmap = home_ + "/bin/colmap";
-    plain_write(colmap, "#!/bin/sh\necho 'ERROR: failed to create sparse model'\n[ \"$1\" != mapper ]\n");
-    fs::permissions(colmap, fs::perms::owner_all);
-  }
-  Result prepare(const std::string& words, const std::string& path = ":/usr/bin:/bin") const {
-    return semfield_run("prepare " + words, home_, "PATH=" + shell_word(home_ + "/bin") + path + " ");
-  }
-  std::string home_ = fresh_folder("home");
-};
-
-TEST_F(Prepare, AMissingProgramNamesTheCommandThatInstallsIt) {
-  fs::remove(home_ + "/bin/colmap");
-  for (const char* name : {"0", "1", "2"}) photograph(home_ + "/photographs/" + std::string(name) + ".png");
-  EXPECT_REFUSED(prepare("photographs --out scene", ""), 69, "capture.program.missing", "colmap",
-                 "sudo apt install colmap");
-  EXPECT_FALSE(fs::exists(home_ + "/scene"));
-}
-
-class PrepareWithFfmpeg : public Prepare {
- protected:
-  void SetUp() override {
-    Prepare::SetUp();
-    if (std::system("ffmpeg -version >/dev/null 2>&1 && ffprobe -version >/dev/null 2>&1") != 0)
-      GTEST_SKIP() << "ffmpeg is not installed";
-  }
-  void film(const std::string& file) const {
-    const std::string words =
-        "ffmpeg -v error -f lavfi -i color=gray:size=64x48:rate=12:duration=3,noise=alls=100:allf=t -pix_fmt yuv420p ";
-    ASSERT_EQ(std::system((words + shell_word(file)).c_str()), 0);
-  }
-  // Files below a folder, by their paths in it.
-  static std::set<std::string> files_below(const std::string& folder) {
-    std::set<std::string> out;
-    for (const fs::directory_entry& entry : fs::recursive_directory_iterator(folder))
-      if (entry.is_regular_file()) out.insert(fs::relative(entry.path(), folder).string());
-    return out;
-  }
-};
-
-TEST_F(PrepareWithFfmpeg, APercentSignIsAPartOfAName) {
-  for (const std::string name : {"50%off", "a%06d", "%%", "%d", "%5"}) {
-    SCOPED_TRACE(name);
-    const std::string folder = home_ + "/" + name;
-    fs::create_directories(folder);
-    film(folder + "/" + name + ".mp4");
-    const std::set<std::string> before = files_below(home_);
-    const Result r =
-        prepare(shell_word(name + "/" + name + ".mp4") + " --out " + shell_word(name + "/scene") + " --frames 6");
-    EXPECT_EQ(r.code, 65) << r.err;  // no model was laid out
-    EXPECT_SAID(r.err, "capture.poses.none");
-    std::size_t images = 0;
-    for (const std::string& file : files_below(home_)) {
-      if (before.contains(file) || file == "stdout" || file == "stderr") continue;
-      EXPECT_TRUE(file.starts_with(name + "/scene/")) << file << " lies outside the scene";
-      images += file.starts_with(name + "/scene/images/frame_") ? 1 : 0;
-    }
-    EXPECT_EQ(images, 6u);
-  }
-}
-
-TEST_F(PrepareWithFfmpeg, APercentSignIsAPartOfAPanoramasName) {
-  const std::string folder = home_ + "/50%off %02d";
-  fs::create_directories(folder);
-  for (int i = 0; i < 3; ++i) {
-    std::vector<std::uint8_t> grey(std::size_t{80 * 40 * 3}, static_cast<std::uint8_t>(60 * i + 40));
-    write_png_rgb(folder + "/p%02d_" + std::to_string(i) + ".png", 80, 40, grey);
-    write_png_rgb(folder + "/p0" + std::to_string(i) + "_0.png", 80, 40, std::vector<std::uint8_t>(grey.size(), 5));
-  }
-  EXPECT_REFUSED(prepare(shell_word("50%off %02d") + " --out " + shell_word("s%03d") + " --lens equirectangular"), 65,
-                 "capture.poses.none");
-  EXPECT_EQ(files_below(home_ + "/s%03d/images").size(), 48u);
-  for (int i = 0; i < 3; ++i) {
-    const auto view = read_rgb(home_ + "/s%03d/images/p%02d_" + std::to_string(i) + "_090.jpg");
-    EXPECT_NEAR(view.pixels[0], 60 * i + 40, 3) << "another image was cut";
-  }
-}
-
-TEST_F(PrepareWithFfmpeg, APlaylistIsNoFilm) {
-  film(home_ + "/secret.mp4");
-  const std::string line = "file '" + home_ + "/secret.mp4'\n";
-  const std::map<std::string, std::string> lists{
-      {"concat.mp4", "ffconcat version 1.0\n" + line},
-      {"list.mov", "#EXTM3U\n#EXT-X-TARGETDURATION:3\n#EXTINF:3,\n" + home_ + "/secret.mp4\n#EXT-X-ENDLIST\n"}};
-  for (const auto& [name, text] : lists) {
-    SCOPED_TRACE(name);
-    plain_write(home_ + "/" + name, text);
-    EXPECT_REFUSED(prepare(name + " --out scene_of_" + name + " --frames 6"), 65, "capture.video.format", name);
-    EXPECT_FALSE(fs::exists(home_ + "/scene_of_" + name + "/images"));
-  }
 }
 
 }  // namespace

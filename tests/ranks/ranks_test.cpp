@@ -204,6 +204,7 @@ TEST(RanksSession, TrainingHasTheBitsAndLossesOfOneProcess) {
       {"hash grid", hash_config(), 60},
       {"two tables", two_tables_config(), 6},
       {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
+      {"class weights", replaced(hash_config(), "semantics: {", "semantics: {balance_classes: true, "), 8},
       {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20},
       {"a term from step 8 on", hash_config("losses: [{type: distortion, from_step: 0.04}]\n"), 12}};
   for (const StepCase& step : kStepCases) shapes.push_back({step.name, step.config(step.more), 8});

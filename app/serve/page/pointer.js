@@ -22,7 +22,7 @@ export function followPointer(element, calls) {
   };
 
   element.addEventListener('pointerdown', (event) => {
-    element.focus({preventScroll: true});
+    if (event.pointerType !== 'touch' || !calls.scrolls?.()) element.focus({preventScroll: true});
     event.preventDefault();
     try { element.setPointerCapture(event.pointerId); } catch { /* gone already */ }
     pointers.set(event.pointerId, at(event));
@@ -66,6 +66,7 @@ export function followPointer(element, calls) {
 
   const ended = (event) => {
     if (!pointers.delete(event.pointerId)) return;
+    if (event.type === 'pointerup') element.focus({preventScroll: true});  // a swipe that scrolls ends with pointercancel
     if (mode === 'draw') {
       if (event.type === 'pointerup') calls.up(!moved, ...at(event), event);
       else calls.cancel?.(false);

@@ -90,11 +90,7 @@ PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prep
     throw write_error("lock", prepare_, cause);
 }
 
-PrepareState PrepareFolder::steps(const std::string& text) const {
-  Sha256 sum;
-  sum.add(std::as_bytes(std::span<const char>(text)));
-  return {prepare_ + "/steps.json", sum.hex()};
-}
+PrepareState PrepareFolder::steps(const std::string& text) const { return {prepare_ + "/steps.json", sha256_of(text)}; }
 
 std::vector<Pair> all_pairs(std::size_t count) {
   std::vector<Pair> out;

@@ -56,7 +56,7 @@ class PrepareFolder {
 
 // COLMAP's programs, one call a step: what words they get, and how far their logs say they are.
 
-/// How features are found and what is asked of them; a ladder of them stands in reconstruct.cpp.
+/// How features are found and what is asked of them; a ladder of them stands in prepare.cpp.
 struct FeatureSettings {
   std::string name;      ///< of its folder and logs
   std::string lens;      ///< COLMAP's name of the camera model that is fitted
