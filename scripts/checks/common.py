@@ -15,7 +15,8 @@ BUILD = ROOT / "build" / "release"
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 # Of words that several steps have.
 HELP = {"build": "folder of the build that is measured", "keep": "FOLDER in which to leave what was made",
-        "run": "run folder"}
+        "run": "run folder", "mirror": "URL of Debian's packages (default: that of mmdebstrap)",
+        "ccache": "FOLDER of the compiler's cache in the systems"}
 wrongs = []  # what check() found
 
 

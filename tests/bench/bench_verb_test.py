@@ -43,7 +43,7 @@ class Bench(ProgramCase):
     def test_ratios_are_of_rates_beside_the_peer(self):
         peer = self.write("fake python", PEER)
         peer.chmod(0o755)
-        out = json.loads(self.ok(f"--json {TINY} --peers --python '{peer}'").out)
+        out = json.loads(self.ok(f"--json {TINY} --peers --python {shlex.quote(str(peer))}").out)
         self.assertGreaterEqual(len(out["peers"]), 4)
         rate = {row["net"]: row["samples_per_s"] for row in out["steps"] if row["precision"] == "fp32"}
         rays = out["steps"][0]["rays"]

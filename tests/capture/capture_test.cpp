@@ -265,6 +265,9 @@ TEST(ColmapCameras, WrittenOnesReadBack) {
   Diagnostics d;
   const ColmapModel model = read_colmap_model(folder, d);
   EXPECT_FALSE(d.has_errors());
+  EXPECT_EQ(model.error_px, 0.5);
+  ASSERT_EQ(model.images.size(), 2u);
+  EXPECT_LT(length(model.images[1].world_from_camera.t - room_pose(3).t), 1e-12);
   const Camera& read = model.cameras.at(1);
   for (const auto field :
        {&Camera::fx, &Camera::fy, &Camera::cx, &Camera::cy, &Camera::k1, &Camera::k2, &Camera::p1, &Camera::p2})

@@ -135,7 +135,7 @@ class Program(ProgramCase):
                 if name == "write" and path.endswith("metrics.jsonl")]
         self.assertGreaterEqual(len(rows), 10)
         self.ended(self.train(), 74, "training ended at step 30 (there is no checkpoint yet: a resume begins at step "
-                   f"0; resume with `semfield train --resume {self.run_dir}`): cannot append to "
+                   f"0; resume with `semfield train --resume {shlex.quote(str(self.run_dir))}`): cannot append to "
                    f"'{self.run_dir}/metrics.jsonl': disk full: need ",
                    env=self.faulty(rows[5], errno.ENOSPC, True)[0])
         self.goes_on_to_the_same_bits()

@@ -175,17 +175,17 @@ class Mesh(VerbCase):
 
     def test_what_makes_no_sense_is_refused(self):
         for words, code, said in (("--format gbl", 2, "did you mean glb?"),
-                                  (f"--out {self.dir}/mesh.stl", 2, "unknown mesh format 'stl'"),
+                                  ("--out mesh.stl", 2, "unknown mesh format 'stl'"),
                                   ("--resolution 8 --voxel 0.1", 2, "excludes"),
                                   ("--voxel 1e-7", 2, "choose a larger --voxel"),
                                   ("--surface depth --level 3", 2, "--level belongs to the surface of the density"),
                                   ("--surface depth --keep-unseen", 2,
                                    "--keep-unseen belongs to the surface of the density"),
-                                  (f"--band 1,0.1 --out {self.dir}/x.pgm", 2, "--band 1,0.1: not two heights"),
+                                  ("--band 1,0.1 --out x.pgm", 2, "--band 1,0.1: not two heights"),
                                   ("--up w", 2, "[usage.value.invalid]"),
                                   ("--resolution 8 --out /proc/none/x.ply", 73,
                                    "/proc/none: cannot create the folder")):
-            self.ended(f"mesh {self.run_dir} {words}", code, said)
+            self.ended(f"mesh {shlex.quote(str(self.run_dir))} {words}", code, said)
 
     def test_files_for_other_programs(self):
         stem = self.dir / "other/room"
@@ -254,7 +254,7 @@ printf 'an old film' >disk/room.mp4
 for free in 0 4 8 12 400; do
   rm -f disk/other
   dd if=/dev/zero of=disk/other bs=1k count=$((508 - free)) 2>/dev/null
-  {PROGRAM} render {self.run_dir} --trajectory smooth --frames 30 --video --out disk/room.mp4 >said 2>err
+  {shlex.quote(PROGRAM)} render {shlex.quote(str(self.run_dir))} --trajectory smooth --frames 30 --video --out disk/room.mp4 >said 2>err
   echo "$free code $? $(grep -c 'an old film' disk/room.mp4) $(ls -A disk | wc -l)" \\
     "$(grep -c 'disk full: need .* have .*free some space or choose another disk' err)"
 done
@@ -280,11 +280,14 @@ done
     @needs_ffmpeg
     def test_unknown_panels_counts_and_what_it_cannot_hold_are_refused(self):
         for words, said in (("--video --panels rgb,normals", ("usage.value.invalid", "'normals'", "entropy")),
-                            (f"--video --out {self.dir}/room.mpx", ("'.mpx' is not the ending of a video file",
-                                                                    "room.mp4")),
-                            ("--trajectory smooth --frames 0", ()), ("--video --fps 0", ()), ("--video --npy", ()),
-                            ("--video --probability", ())):
-            self.ended(f"render {self.run_dir} {words}", 2, *said)
+                            ("--video --out room.mpx", ("'.mpx' is not the ending of a video file", "known: .mp4, ",
+                                                        "room.mp4")),
+                            ("--trajectory smooth --frames 0", ()), ("--video --fps 0", ())):
+            self.ended(f"render {shlex.quote(str(self.run_dir))} {words}", 2, *said)
+
+    def test_arrays_are_no_film(self):
+        for flag in ("--npy", "--probability"):
+            self.ended(self.render("--video", flag), 2)
 
 
 class Render(VerbCase):

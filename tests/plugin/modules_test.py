@@ -72,8 +72,8 @@ class ModuleTrust(ModuleCase):
 
     def test_a_throwing_initialiser_ends_in_order(self):
         self.ended(self.run_words("plugins", "list", "--plugin", probe("throwing")), 69,
-                   f"cannot load plugin '{probe('throwing')}'",
-                   "a static initialiser of it throws: no licence found; ", "[plugin.module.throws]")
+                   f"cannot load plugin '{probe('throwing')}': a static initialiser of it throws: no licence found; "
+                   "fix the module, or leave it out [plugin.module.throws]\n")
 
     def test_a_configuration_alone_runs_no_code(self):
         sweep = self.write("sweep.yaml", "base: named.yaml\nvariants: {v: }\n")
@@ -158,8 +158,8 @@ class PluginsCheck(ModuleCase):
         entry = self.verdicts()[0]
         self.ended(self.train_with(file), 69,
                    f"cannot load plugin '{file}': it was checked, and broke a law: encoder 'bent', "
-                   f"defaults, positions: {found}; ", f"`semfield plugins check '{file}'` again, or remove {entry} ",
-                   "[plugin.module.broken_law]\n")
+                   f"defaults, positions: {found}; fix it and run `semfield plugins check '{file}'` again, or remove {entry} "
+                   "to load it as it is [plugin.module.broken_law]\n")
         self.ended(self.train_with(probe("bent")), 69)  # the same bytes elsewhere
         self.ended(self.run_words("plugins", "check", file), 1)  # a check loads what it checks
         self.ok(self.run_words("plugins", "list", "--plugin", file, cache="off"))  # without a cache nothing is known

@@ -38,6 +38,7 @@ def test_the_stub_names_what_the_extension_has() -> None:
     assert members.keys() <= vars(_core).keys()
     there = {n for n in vars(_core.DeviceArray) if not n.startswith("_") or n in ("__dlpack__", "__dlpack_device__", "__array__")}
     assert members["DeviceArray"] == there
+    assert {name for name in vars(_core.Run) if not name.startswith("_")} <= members["Run"]
 
 
 def public() -> Dict[str, Any]:

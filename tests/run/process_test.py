@@ -109,7 +109,7 @@ class Process(ProgramCase):
 
     def test_a_refused_run_leaves_no_folder(self):
         """What is wrong with words and configurations: tests/bad_files."""
-        config = self.room(5)
+        config = shlex.quote(str(self.room(5)))
         for words, code in (("--set runtime.device=cuda --out x", 69), ("--out /proc/semfield", 73),
                             ("--set passes.0.field.type=tiny_mpl --out x", 78)):
             self.ended(f"train {config} {words}", code)
@@ -120,7 +120,7 @@ class Process(ProgramCase):
 @unittest.skipIf(os.environ.get("SEMFIELD_WITH_RAYCAST") == "0", "the shipped room is not at hand")
 class Memory(ProgramCase):
     def test_the_first_steps_tell_what_they_took_and_end_a_run_that_may_not_take_it(self):
-        train = (f"train {SOURCE}/configs/quickstart.yaml --set scene.frames=10 --set scene.test_frames=1 --set "
+        train = (f"train {shlex.quote(f'{SOURCE}/configs/quickstart.yaml')} --set scene.frames=10 --set scene.test_frames=1 --set "
                  "scene.width_px=64 --set scene.height_px=48 --threads 2 --steps 2")
         said = self.ok(f"{train} --out made").err
         took = re.search("after the first steps the process holds ([0-9]+) MB of memory", said)
@@ -129,7 +129,7 @@ class Memory(ProgramCase):
                    "lower train.rays")
 
     def test_pixels_that_do_not_fit_are_refused_before_they_are_read(self):
-        self.ended(f"train {SOURCE}/configs/quickstart.yaml --dry-run --memory 0.2 --set scene.frames=900 --set "
+        self.ended(f"train {shlex.quote(f'{SOURCE}/configs/quickstart.yaml')} --dry-run --memory 0.2 --set scene.frames=900 --set "
                    "scene.width_px=1600 --set scene.height_px=1200", 69, "frames would take", "scene.load.downscale")
 
 

@@ -3,11 +3,9 @@
 
 import json
 import pathlib
-import re
 import signal
 import subprocess
 import sys
-import unittest
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *

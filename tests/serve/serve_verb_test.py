@@ -78,13 +78,11 @@ class Served:
         return self.process.wait(120)
 
 
-@unittest.skipIf(HAS_PAGE, "this build has the page")
 class NoPage(ProgramCase):
     def test_the_packages_that_it_needs_are_named(self):
         self.ended("serve room.yaml", 69, "-DSEMFIELD_WITH_SERVE=ON", "libturbojpeg0-dev", "[serve.page.missing]")
 
 
-@unittest.skipUnless(HAS_PAGE, "this build has no page")
 class Serve(ProgramCase):
     def setUp(self):
         super().setUp()
@@ -109,7 +107,7 @@ class Serve(ProgramCase):
         self.assertEqual((state["events"], len(state["marks"])), (2, 1))
         self.assertFalse(served.post("event", served.click("k"))["applied"])
         self.ended(served.ended_by(signal.SIGINT), 130, " labels, all saved\nnext        semfield serve "
-                   f"{self.run_dir}")
+                   f"{shlex.quote(str(self.run_dir))}")
         served = Served(self, self.run_dir)
         self.assertEqual(served.state()["events"], 2)
         self.assertEqual(served.ended_by(signal.SIGTERM).code, 143)
@@ -185,7 +183,7 @@ class Serve(ProgramCase):
         script = self.write("script", f"""mount -t tmpfs -o size=6m tmpfs disk || exit 99
 latest=disk/run/checkpoints/latest
 within_a_minute() {{ turn=0; until eval "$1" || [ $turn = 600 ]; do sleep 0.1; turn=$((turn + 1)); done; }}
-{PROGRAM} serve config.yaml --out disk/run >out 2>err &
+{shlex.quote(PROGRAM)} serve config.yaml --out disk/run >out 2>err &
 pid=$!
 within_a_minute '[ -e $latest ]'
 dd if=/dev/zero of=disk/other bs=1k 2>/dev/null
@@ -225,6 +223,9 @@ cp -r disk/run copy
         self.assertNotEqual(second.code, 0)
         self.has(second.err, str(self.run_dir))
         first.post("event", CHAIR)
+
+
+globals().pop("NoPage" if HAS_PAGE else "Serve")  # what the other build has
 
 
 if __name__ == "__main__":
