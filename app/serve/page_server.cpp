@@ -26,7 +26,6 @@
 #include "app/serve/page_requests.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/non_copyable.h"
 #include "formats/image_io.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"

@@ -1,11 +1,9 @@
 // How the cameras of a scene stand to what they photograph: around one place, or any other way.
 #pragma once
 
-#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
 #include <optional>
 #include <vector>
 

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/non_copyable.h"
 #include "formats/safetensors.h"
 #include "session/checkpoint_facts.h"
 #include "session/ray_source.h"

@@ -1,6 +1,7 @@
 // Guarded matrices, and benches: a component under test with its tensors, inputs and guarded outputs.
 #pragma once
 
+#include <bit>
 #include <cstdint>
 #include <cstring>
 #include <string>

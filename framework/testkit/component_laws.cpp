@@ -2,7 +2,6 @@
 // beside them.
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "compute/gemm.h"
 #include "compute/parallel.h"

@@ -6,7 +6,6 @@
 #include <string>
 
 #include "core/error.h"
-#include "core/non_copyable.h"
 #include "plugin/loader.h"
 #include "system/files.h"
 

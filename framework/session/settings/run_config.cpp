@@ -10,7 +10,6 @@
 #include <initializer_list>
 
 #include "config/compose.h"
-#include "config/explain.h"
 #include "core/text.h"
 #include "core/view.h"
 #include "labels/clicks/click_log.h"

@@ -209,6 +209,7 @@ struct PassConfig {
   const SemanticBranchConfig* branch() const { return semantic.empty() ? nullptr : &semantic.front(); }
 };
 
+/// What a head is but for its plugins and its branch.
 struct HeadChannel {
   std::string channel;   ///< that it makes; a dataset's channel of this name is what losses compare it with
   int width = 0;         ///< its columns; 0 until the scene is known
