@@ -504,12 +504,12 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
     else
       between += " them and the others";
     const bool one = i == last;
-    const auto as = [](const char* word, const char* means) { return fmt::arg(word, means); };
+    const char *were = one ? "was" : "were", *are = one ? "is" : "are", *them = one ? "it" : "them",
+               *s = one ? "s" : "";
     out.push_back(
         {i, last,
-         fmt::format(fmt::runtime(cause), fmt::arg("range", range_text(names, i, last)),
-                     as("were", one ? "was" : "were"), as("are", one ? "is" : "are"), as("them", one ? "it" : "them"),
-                     as("s", one ? "s" : ""), fmt::arg("between", between))});
+         fmt::format(fmt::runtime(cause), fmt::arg("range", range_text(names, i, last)), fmt::arg("were", were),
+                     fmt::arg("are", are), fmt::arg("them", them), fmt::arg("s", s), fmt::arg("between", between))});
     i = last;
   }
   return out;
