@@ -174,7 +174,8 @@ class PyRun : NonCopyable {
       const double before_s = run.training().train_s();
       notes_.interrupt = &interrupt;
       const std::shared_ptr<void> ended(nullptr, [&](void*) { notes_.interrupt = nullptr; });
-      while (made < steps && !interrupt.came() && !(to_end && run.training().at_its_end())) {
+      // Without run_ it was closed out of this call.
+      while (made < steps && !interrupt.came() && run_ && !(to_end && run.training().at_its_end())) {
         for (const StepLosses& losses : run.advance(steps - made)) {
           ++made;
           sum.total += losses.total;

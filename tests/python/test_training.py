@@ -161,6 +161,38 @@ def test_two_threads_take_turns(run: sf.Run) -> None:
     assert run.step == 20
 
 
+def test_a_run_that_is_closed_out_of_its_own_call_ends_in_order(scene: sf.Scene) -> None:
+    run = sf.open(config_of(scene))
+    before = signal.signal(signal.SIGALRM, lambda *_: run.close())
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.02)
+        with pytest.raises(sf.UsageError, match="is closed"):
+            trained(run, 100_000)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_closing_waits_for_the_call_of_another_thread(scene: sf.Scene) -> None:
+    run = sf.open(config_of(scene))
+
+    def ask() -> None:
+        try:
+            run.parameters()
+        except sf.UsageError as error:
+            assert "is closed" in str(error)
+
+    threads = [threading.Thread(target=ask) for _ in range(8)]
+    for t in threads:
+        t.start()
+    run.close()
+    for t in threads:
+        t.join(60)
+    assert not any(t.is_alive() for t in threads)
+    with pytest.raises(sf.UsageError, match="is closed"):
+        run.step
+
+
 def test_what_a_run_tells_can_be_read_while_it_trains(scene: sf.Scene) -> None:
     run = sf.open(config_of(scene), set={"report.log_every_steps": 1})
     rows = []
