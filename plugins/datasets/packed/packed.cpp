@@ -1,6 +1,6 @@
 // Packed scenes: one file written by `semfield pack`; needs no image library.
 #include <filesystem>
-#include <optional>
+#include <memory>
 #include <string>
 
 #include "config/params.h"
@@ -60,8 +60,8 @@ class Packed final : public Dataset {
       : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
 
   SceneInfo open(Diagnostics& diagnostics) override {
-    scene_.reset();
-    scene_.emplace(path_);
+    scene_.reset();  // before another is opened
+    scene_ = std::make_unique<PackedScene>(path_);
     SceneInfo info = scene_->info();
     // A checksum proves that the bytes arrived, not that a writer was sane: poses and cameras are checked as
     // everywhere.
@@ -75,13 +75,13 @@ class Packed final : public Dataset {
   }
 
   void read(int frame, FrameBuffer& out) const override {
-    SEMFIELD_CHECK(scene_.has_value(), "open() comes before read()");
+    SEMFIELD_CHECK(scene_ != nullptr, "open() comes before read()");
     scene_->read(frame, out);
   }
 
  private:
   std::string path_;
-  std::optional<PackedScene> scene_;
+  std::unique_ptr<PackedScene> scene_;
 };
 
 SEMFIELD_PLUGIN_MODULE(packed, "1.0", [](Registry& registry) {
