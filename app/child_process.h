@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "core/non_copyable.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -31,7 +32,9 @@ pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files
                   const std::function<void()>& in_child = {});
 pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
                   const std::function<void()>& in_child = {});
-/// A pipe to or from a child; both ends close when it is started. Throws Error(unavailable), which names the `program`.
+
+/// A pipe to or from a child, which inherits neither end; the caller closes the one that is the child's. Throws
+/// Error(unavailable), which names the `program`.
 struct Pipe {
   FileDescriptor read, write;
 };
@@ -41,11 +44,9 @@ Pipe open_pipe(const std::string& program);
 int code_of_child(pid_t pid);
 
 /// A child that this object ends, if it still runs, by a signal.
-struct OwnedChild {
+struct OwnedChild : NonCopyable {
   explicit OwnedChild(int by) : signal(by) {}
   ~OwnedChild();
-  OwnedChild(const OwnedChild&) = delete;
-  OwnedChild& operator=(const OwnedChild&) = delete;
   /// As code_of_child.
   int wait();
 

@@ -11,6 +11,7 @@
 
 #include "app/app_context.h"
 #include "config/params.h"
+#include "core/non_copyable.h"
 #include "session/settings/choices.h"
 
 namespace CLI {
@@ -44,11 +45,9 @@ struct Declaration {
 /// The name of an option is followed by what stands for its value, "--out FOLDER": FILE, PATH and CONFIG complete to
 /// files, FOLDER and RUN to folders. A usual value that is not empty is stated as the default. A number has a range,
 /// which is checked here and stated in the help.
-class Options {
+class Options : NonCopyable {
  public:
   explicit Options(const Declaration& at) : at_(at) {}
-  Options(const Options&) = delete;
-  Options& operator=(const Options&) = delete;
 
  protected:
   /// A word that must be there; "[name]" may be left out. One that must be there is one of `offered`, if any are;

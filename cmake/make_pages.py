@@ -156,7 +156,7 @@ def mean_of(values):
 
 
 def data_rows(data):
-    """The same of a list of rows, or of groups of runs."""
+    """(name of the row, column, value) of a list of rows, or of groups of runs."""
     groups = ((i, [row]) for i, row in enumerate(data)) if isinstance(data, list) else data["rows"].items()
     for group, runs in groups:
         for run in runs:
@@ -164,7 +164,7 @@ def data_rows(data):
 
 
 def rows_of(root, words):
-    """(name of the row, column, value) of files of data; words are names of files and filters KEY=VALUE|VALUE."""
+    """The same of files of data; words are names of files and filters KEY=VALUE|VALUE."""
     filters = dict(word.split("=") for word in words if "=" in word)
     for name in (word for word in words if "=" not in word):
         if name.endswith(".csv"):

@@ -39,14 +39,18 @@ train: {steps: 200, rays: 192, adam: {learning_rate: 0.02}}
 ROOM = "{type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1}"
 
 
+def png_file(chunks):
+    """Of (name, bytes) of its chunks."""
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(part)) + name + part + struct.pack(">I", zlib.crc32(name + part))
+        for name, part in chunks)
+
+
 def png(path, width, height, color, bits, rows):
     """`rows`: bytes of each row. color 0: grey, 2: RGB."""
     data = zlib.compress(b"".join(b"\0" + row for row in rows))
     header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", data), (b"IEND", b""))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(part)) + name + part + struct.pack(">I",
-                                                                 zlib.crc32(name + part)) for name, part in chunks))
+    path.write_bytes(png_file(((b"IHDR", header), (b"IDAT", data), (b"IEND", b""))))
 
 
 def png_bytes(path):

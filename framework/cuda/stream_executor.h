@@ -52,7 +52,7 @@ class StreamExecutor final : public Executor<float> {
 
  private:
   static constexpr int kSlots = 32;
-  static constexpr int kGroups = 8;  // shapes of a step: eighths of the batch with semantics
+  static constexpr int kGroups = 8;  // shapes of a step: eighths of a part with semantics
 
   // One shape of a step: how many rays of a part have semantics, and which terms of the loss there are.
   struct Shape {

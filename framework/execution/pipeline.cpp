@@ -59,6 +59,7 @@ PipelineOptions settled(PipelineOptions options, const std::vector<PassParts<Rea
   const std::int64_t expected = std::max<std::int64_t>(most, 1);  // samples of a ray
   if (options.tile_rays == 0) options.tile_rays = std::clamp<std::int64_t>(kTileRows / expected, 4, 64);
   if (options.lanes > 0) return options;
+  SEMFIELD_CHECK(options.rays > 0, "lanes that are left open need the rays of a step");
   const std::int64_t tiles = (options.rays + options.tile_rays - 1) / options.tile_rays;
   std::int64_t numbers = 0;
   for (const PassParts<Real>& parts : passes) numbers += lane_numbers(parts);

@@ -1,4 +1,4 @@
-// Tables kept as text, one row a line: CSV, TSV, and colon-separated label maps.
+// Tables kept as text, one row a line: CSV, TSV, and colon-separated label maps; limits of inputs; JSON.
 #pragma once
 
 #include <cstdint>

@@ -260,7 +260,7 @@ ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& file
                                                               : frame.camera;
     try {
       const ImageSize size = is_depth ? depth_size(path) : image_size(path);
-      if (kind.what == kColorImage) {
+      if (kind.path == &FrameFiles::color) {
         color = size;
         frame.orientation = size.orientation;
         if (size.orientation != 1) turned_.push_back(frame.name);

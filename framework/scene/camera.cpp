@@ -1,4 +1,5 @@
-// Lenses and their inverses: OpenCV's radial-tangential polynomial, the fisheye's and the panorama.
+// Lenses and their inverses (OpenCV's radial-tangential polynomial, the fisheye's, the panorama), files of cameras, and
+// paths.
 #include "scene/camera.h"
 
 #include <fmt/format.h>

@@ -1,4 +1,5 @@
-// How the cameras of a scene stand to what they photograph: around one place, or any other way.
+// How the cameras of a scene stand to what they photograph, conventions of their poses, and a plain background behind an
+// object.
 #pragma once
 
 #include <array>

@@ -195,15 +195,15 @@ class LabelSession final : public LabelSource {
   void fail(const Error& error);
 
   std::vector<std::string> warnings_;  // of while the run was opened
-  LabelRun run_;
+  LabelRun run_;                       // of the thread that trains
 
   // Of events. Held while one is stored, so it is never taken by the thread that trains for longer than a copy takes.
   std::mutex events_mutex_;
   Annotations annotations_;
   ClickLog log_;
 
-  // Of what follows up to the photographs, but for `run_`, `taken_events_`, `trouble_told_` and `failure_`, which
-  // belong to the thread that trains.
+  // Of what follows up to the photographs, but for `taken_events_`, `trouble_told_` and `failure_`, which belong to the
+  // thread that trains.
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;  // the state, or an order
   std::condition_variable wanted_;           // something of the thread that trains

@@ -19,8 +19,7 @@
 namespace semfield::testkit {
 
 /// [rows, cols] matrix with `padding` columns between rows and guard elements before and after. Every element starts as
-/// poison: for floating types a NaN with a payload, so that a computed NaN is told apart from it; 0x5A bytes for
-/// integers.
+/// poison: for floating types a NaN with a payload that no computation gives; 0x5A bytes for integers.
 template <class T>
 class Guarded {
  public:

@@ -1,6 +1,5 @@
 // The laws of encoders, fields and heads: those of every kind on a bench of the kind, and what each kind promises
 // beside them.
-#include <algorithm>
 #include <cmath>
 
 #include "compute/gemm.h"

@@ -115,13 +115,13 @@ busy machine, every instruction set. One line a condition, names of failed tests
 
 
 def run_test(build, program, cases, **settings):
-    """Runs cases of a test program of the build with SEMFIELD_... settings; its exit code."""
-    is_python = program.endswith(".py")
-    path = common.ROOT / "tests" / program if is_python else build / "tests" / program
-    if not path.exists():
-        raise common.Failed(f"there is no {path}; build it with ./scripts/test")
-    words = [sys.executable, path, "-k", cases] if is_python else [path, f"--gtest_filter={cases}"]
-    settings = {"BINARY": build / "bin/semfield", "ANALYTIC_ROOM": build / "tests/semfield_analytic_room",
+    """Runs cases of a test of the program with SEMFIELD_... settings; its exit code."""
+    build = build.resolve()
+    room = build / "tests/semfield_analytic_room"
+    if not room.exists():
+        raise common.Failed(f"there is no {room}; build it with ./scripts/test")
+    words = [sys.executable, common.ROOT / "tests" / program, "-k", cases]
+    settings = {"BINARY": build / "bin/semfield", "ANALYTIC_ROOM": room,
                 "FAULT_SHIM": build / "tests/crash/libsemfield_fault_shim.so", "CACHE": "off", **settings}
     environment = {**os.environ, **{f"SEMFIELD_{key}": str(value) for key, value in settings.items()}}
     return subprocess.run(["nice", *words], env=environment).returncode

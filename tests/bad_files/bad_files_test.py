@@ -20,6 +20,9 @@ import tempfile
 import zlib
 
 HERE = pathlib.Path(__file__).parent
+sys.path.insert(0, str(HERE.resolve().parent))
+from program import crc32c, png_file  # noqa: E402
+
 TABLE, PROGRAM, MISSING = sys.argv[1], pathlib.Path(sys.argv[2]).resolve(), sys.argv[3:]
 
 
@@ -104,8 +107,7 @@ def png(width, height, kind, value):
     if kind == "palette":
         chunks.append((b"PLTE", bytes([0, 0, 0, 255, 0, 0, 0, 255, 0])))
     chunks += [(b"IDAT", zlib.compress(b"".join(rows), 4)), (b"IEND", b"")]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks)
+    return png_file(chunks)
 
 
 def write_model(folder, error_px, *names):
@@ -125,15 +127,6 @@ def write_model(folder, error_px, *names):
     (folder / "cameras.bin").write_bytes(struct.pack("<QIiQQ8d", 1, 1, 4, 40, 30, 20, 20, 20, 15, 0, 0, 0, 0))
     (folder / "images.bin").write_bytes(images)
     (folder / "points3D.bin").write_bytes(points)
-
-
-def crc32c(data):
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0x82F63B78 if crc & 1 else 0)
-    return crc ^ 0xFFFFFFFF
 
 
 def sealed(data):

@@ -94,13 +94,13 @@ class Pages(ProgramCase):
         self.assertGreaterEqual(len(marked), 20)
         self.assertEqual([path for path in marked if mark.search((BUILT / path).read_text())], [])
 
-    def test_every_verb_file_is_a_verb_and_every_verb_has_its_file(self):
+    def test_every_function_of_a_verb_is_listed_and_every_verb_has_its_function(self):
         """Every function verb_NAME of app/verbs, "config_check", and every verb of the help written that way."""
-        files = {verb for path in (SOURCE / "app/verbs").glob("*.cpp")
-                 for verb in re.findall(r"\nVerb verb_(\w+)\(\) \{", path.read_text())}
+        functions = {verb for path in (SOURCE / "app/verbs").glob("*.cpp")
+                     for verb in re.findall(r"\nVerb verb_(\w+)\(\) \{", path.read_text())}
         verbs = self.verbs_of(self.help())
         words = [f"{verb}_{word}" for verb in verbs for word in self.verbs_of(self.help(verb))]
-        self.assertEqual({name.replace("-", "_") for name in verbs + words}, files)
+        self.assertEqual({name.replace("-", "_") for name in verbs + words}, functions)
 
     def test_every_verb_and_option_has_a_sentence(self):
         """One without leaves its line of the help with blanks at the end."""
@@ -178,12 +178,10 @@ class Keys(ProgramCase):
         for path in (path for top in ("app", "framework", "plugins") for path in (SOURCE / top).rglob("*.*")):
             if path.suffix not in (".cpp", ".h") or path.name.endswith(("_test.cpp", "_sample.cpp")):
                 continue
-            # Paths of cameras are obj_room's.
-            dataset = "obj_room" if path.name == "camera_path.cpp" else path.parent.name
             for number, line in enumerate(path.read_text().splitlines(), 1):
                 if "#include" not in line:
                     texts = re.findall(r'"((?:[^"\\]|\\.)*)"', line.partition("// ")[0])
-                    found += ((f"{path}:{number}", dataset, text) for text in texts)
+                    found += ((f"{path}:{number}", path.parent.name, text) for text in texts)
         return found
 
     def known(self, key, dataset):

@@ -191,7 +191,7 @@ void check_length(const RunConfig& config, Diagnostics& diagnostics);
 // Which settings make a run the run that it is, and which may change while it goes on.
 
 /// Not: a run's length, what it prints, measures and keeps beside the tensors, the machine's part in it (threads,
-/// memory, device, who multiplies matrices), and where files lie.
+/// memory, device), and where files lie.
 bool is_part_of_identity(std::string_view key_path);
 /// What is no part of the identity, and what helps a run over a step that failed: optimiser, schedule, seed, precision.
 /// Everything else would make it another run.

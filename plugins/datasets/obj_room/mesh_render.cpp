@@ -482,10 +482,7 @@ MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std:
 
 void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t frame, FrameBuffer& out) const {
   const std::int32_t w = camera.width_px, h = camera.height_px;
-  const auto place = [w](std::int32_t x, std::int32_t y) {
-    return static_cast<std::size_t>(y) * static_cast<std::size_t>(w) + static_cast<std::size_t>(x);
-  };
-  const std::size_t pixels = place(0, h);
+  const std::size_t pixels = pixel_at(0, h, w);
   out.width_px = w;
   out.height_px = h;
   out.rgb.assign(pixels * 3, 0);
@@ -497,7 +494,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
   std::vector<Color> light(pixels);
   parallel_for(h, [&](std::int64_t y) {
     for (std::int32_t x = 0; x < w; ++x) {
-      const std::size_t i = place(x, static_cast<std::int32_t>(y));
+      const std::size_t i = pixel_at(x, y, w);
       const Vec3d d = camera.direction(x + 0.5, static_cast<double>(y) + 0.5);
       if (dot(d, d) < 0.5) continue;
       center[i] = surface(pose.t, pose.rotate(d));
@@ -513,7 +510,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
   parallel_for(h, [&](std::int64_t row) {
     const auto y = static_cast<std::int32_t>(row);
     for (std::int32_t x = 0; x < w; ++x) {
-      const std::size_t i = place(x, y);
+      const std::size_t i = pixel_at(x, y, w);
       Color sum{};
       for (int k = 0; k < n * n; ++k) {
         const Vec3d d = camera.direction(x + (k % n + 0.5) / n, y + (k / n + 0.5) / n);
@@ -531,7 +528,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
             const std::int32_t px = x + dx + (k % n >= (n + 1) / 2 ? 1 : 0),
                                py = y + dy + (k / n >= (n + 1) / 2 ? 1 : 0);
             if (px < 0 || py < 0 || px >= w || py >= h) continue;
-            const std::size_t q = place(px, py);
+            const std::size_t q = pixel_at(px, py, w);
             const Surface& o = center[q];
             if (o.object != s.object || dot(o.normal, s.normal) < 0.94f) continue;
             if (std::abs(dot(o.point - s.point, to_double(s.facet))) > slack) continue;
