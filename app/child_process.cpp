@@ -43,12 +43,17 @@ pid_t start_child(const std::vector<std::string>& words, const ChildStreams& str
   argv.push_back(nullptr);
   std::vector<char*> environment = environment_of_child();
   const pid_t parent = getpid();
+  // Signals wait until the child has put our handlers away, which would swallow one that comes before the program starts.
+  sigset_t all{}, before{};
+  sigfillset(&all);
+  pthread_sigmask(SIG_BLOCK, &all, &before);
   const pid_t pid = fork();
+  if (pid != 0) pthread_sigmask(SIG_SETMASK, &before, nullptr);
   if (pid == 0) {
-    // At once: our own handlers would swallow a signal that comes before the program starts.
     signal(SIGINT, SIG_DFL);
     signal(SIGTERM, SIG_DFL);
     signal(SIGPIPE, SIG_DFL);
+    pthread_sigmask(SIG_SETMASK, &before, nullptr);
     setpgid(0, 0);                     // Ctrl-C reaches the parent alone, which asks every child once
     prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
     if (getppid() != parent) _exit(128 + SIGTERM);
