@@ -5,6 +5,7 @@
 #include <array>
 #include <charconv>
 #include <filesystem>
+#include <initializer_list>
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -197,12 +198,13 @@ Json read_strips(const fs::path& folder, int most_frames, const std::set<std::st
   return strips;
 }
 
-// Frames with the lowest scores, worst first: [{"frame", "score"}].
-Json parse_worst_frames(const std::string& text, const std::string& name) {
+// A list of rows that have these texts.
+Json parse_rows(const std::string& text, const std::string& name, std::initializer_list<const char*> keys) {
   try {
-    const Json frames = Json::parse(text);
-    for (const Json& row : frames) (void)(row.at("frame").get<std::string>() + row.at("score").get<std::string>());
-    return frames;
+    const Json rows = Json::parse(text);
+    for (const Json& row : rows)
+      for (const char* key : keys) (void)row.at(key).get<std::string>();
+    return rows;
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' cannot be read: {}", name, e.what()),
                 "delete it; a report does without");
@@ -218,7 +220,7 @@ Json run_json(const RunFolder& folder, const std::vector<MetricsRow>& rows, cons
   if (const std::string text = text_or_empty(folder.environment_path()); !text.empty())
     run["environment"] = parse_environment(text, folder.environment_path());
   run["left_out"] = read_if_there(folder.left_out_path(), [](const std::string& text, const std::string& path) {
-    return Json::parse(left_out_json(parse_left_out(text, path)));
+    return parse_rows(text, path, {"component", "rule", "evidence", "proof", "saving_estimate"});
   });
   if (run["left_out"].is_null()) run["left_out"] = Json::array();
   run["labels"] = read_if_there(folder.labels_path(), [&](const std::string& text, const std::string& path) {
@@ -260,7 +262,10 @@ std::string read_report(const std::vector<std::string>& run_folders, int most_fr
       classes.push_back({{"name", table.valid(c).name}, {"color", table.valid(c).color}});
   }
   const fs::path render = fs::path(first.path()) / "render", pictures = render / (split.empty() ? "test" : split);
-  for (const Json& row : read_if_there(first.worst_frames_path(), parse_worst_frames)) {
+  const Json lowest = read_if_there(first.worst_frames_path(), [](const std::string& text, const std::string& path) {
+    return parse_rows(text, path, {"frame", "score"});  // worst first
+  });
+  for (const Json& row : lowest) {
     const std::string file = output_name(row["frame"].get<std::string>());
     Json strip = strip_json(pictures, file, file, row["score"]);
     if (strip["images"].empty()) continue;

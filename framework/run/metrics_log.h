@@ -58,27 +58,4 @@ class MetricsLog {
   std::int64_t torn_from_ = -1;  // where the part of a row begins that could not be taken back
 };
 
-// Scalars for TensorBoard: an events.out.tfevents file, written without its libraries.
-
-/// CRC-32C as record files store it: rotated and shifted, so that a checksum of checksums stays strong.
-std::uint32_t masked_crc32c(std::string_view bytes);
-
-/// One record: length (u64), its masked CRC (u32), the bytes, their masked CRC (u32), little-endian.
-std::string record_frame(std::string_view bytes);
-
-/// Appends events to a file of its own, `<folder>/events.out.tfevents.<seconds>.<host>.<pid>`.
-class EventWriter {
- public:
-  /// `now_s`: seconds since 1970, part of the name and of the first event. Throws Error(cannot_create).
-  EventWriter(const std::string& folder, double now_s);
-
-  void scalar(std::string_view tag, std::int64_t step, double value, double now_s);
-  const std::string& path() const { return path_; }
-
- private:
-  void write(const std::string& event);
-  std::string path_;
-  FileDescriptor file_;
-};
-
 }  // namespace semfield

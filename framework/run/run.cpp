@@ -57,15 +57,6 @@ void write_run_config(const RunFolder& folder, const RunConfig& config, Registry
   write_file_atomic(folder.config_path(), text);
 }
 
-void write_left_out(const RunFolder& folder, const Session& session) {
-  std::vector<LeftOutRow> rows;
-  for (const LeftOut& out : session.plan.left_out) {
-    rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
-                    out.measured.empty() ? shipped_saving(out.component) : out.measured});
-  }
-  write_file_atomic(folder.left_out_path(), left_out_json(rows));
-}
-
 // What a resumed run goes on from.
 
 // " --set KEY=VALUE" for a shell; nothing for a value that is absent.
@@ -227,11 +218,6 @@ void write_final_eval(const RunFolder& folder, FinalEval detail, std::int64_t st
   write_file_atomic(folder.final_eval_path(), final_eval_json(detail));
 }
 
-// Seconds since 1970, for events.
-double unix_seconds() {
-  return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
-}
-
 // A row of metrics.jsonl for a scored part of `split`, "test" or "train".
 MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
                      const SplitScore& score, const ClassTable& classes) {
@@ -270,12 +256,10 @@ void add_given_scores(MetricsRow& row, const Session& session, const std::vector
 // sample between its frames.
 class RunScores {
  public:
-  RunScores(const Trainer& training, const RunFolder& folder, MetricsLog& log, EventWriter& events,
-            RunListener& listener)
+  RunScores(const Trainer& training, const RunFolder& folder, MetricsLog& log, RunListener& listener)
       : training_(training),
         folder_(folder),
         log_(log),
-        events_(events),
         listener_(listener),
         start_s_(training.train_s()),
         budget_(session().config.report.eval_share, end_s(session().config)),
@@ -366,11 +350,6 @@ class RunScores {
         score_row(training_.step(), training_.train_s(), "test", part, score, session().scene.info.classes);
     log_.append(row);
     log_.sync();
-    // One tag a meaning: a sample's figures are not those of the split.
-    const std::string tag = part.whole() ? "eval/" : "eval_sample/";
-    for (const auto& [name, value] : row.values) {
-      if (value) events_.scalar(tag + name, row.step, *value, unix_seconds());
-    }
     last_miou_present = score.confusion.miou_present();
     last_part = part;
   }
@@ -413,7 +392,6 @@ class RunScores {
   const Trainer& training_;
   const RunFolder& folder_;
   MetricsLog& log_;
-  EventWriter& events_;
   RunListener& listener_;
   double start_s_;
   EvalBudget budget_;
@@ -508,8 +486,7 @@ Run::Run(RunConfig config, Registry& registry, const TrainRequest& request, RunL
   }
   row_start_s_ = training_->train_s();
   if (driver_ != Driver::command) return;
-  events_.emplace(folder_->path(), unix_seconds());
-  scores_ = std::make_unique<RunScores>(*training_, *folder_, *log_, *events_, listener_);
+  scores_ = std::make_unique<RunScores>(*training_, *folder_, *log_, listener_);
   const double every_s = session_.config.report.eval_every_s;
   next_eval_s_ = every_s > 0 ? (std::floor(training_->train_s() / every_s) + 1) * every_s : INFINITY;
   if (!request.resume) return;
@@ -592,7 +569,7 @@ Run::~Run() = default;
 void Run::write_records(const RunFolder& folder) {
   classes_written_ = named_classes(session_.scene.info.classes).to_yaml();
   if (!session_.scene.info.classes.empty()) write_file_atomic(folder.classes_path(), classes_written_);
-  write_left_out(folder, session());
+  write_file_atomic(folder.left_out_path(), left_out_json(session_.plan.left_out));
   Environment environment = this_environment();
   environment.threads = thread_count();
   environment.seed = session_.config.runtime.seed;
@@ -685,9 +662,6 @@ void Run::record(const StepLosses& losses, std::int64_t step) {
   std::optional<MetricsRow> row = row_of(losses, step);
   if (!row) return;
   listener_.row(*row);
-  if (events_)
-    for (const auto& [name, value] : row->values)
-      if (value) events_->scalar("train/" + name, step, *value, unix_seconds());
   report_progress(losses, *row);
   if (!folder_ || waiting_.size() < kMostWaiting) waiting_.push_back(*std::move(row));
 }

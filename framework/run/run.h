@@ -60,7 +60,7 @@ class RunListener : public TrainingListener {
 /// What drives a run decides what happens between its steps, in addition to the rows of metrics.jsonl.
 enum class Driver : std::uint8_t {
   program,  ///< rounds of self-training; it saves on request
-  command,  ///< the same, evaluations every report.eval_every_s with events for TensorBoard, and checkpoints when due
+  command,  ///< the same, evaluations every report.eval_every_s, and checkpoints when due
   page,     ///< labels change with every click, so no rounds; rows wait for write_rows() and save(), so that a full
             ///< disk does not end training
 };
@@ -179,7 +179,6 @@ class Run {
   std::int64_t row_steps_ = 0;
   std::deque<MetricsRow> waiting_;  // rows to write; without a folder all rows
   std::optional<MetricsLog> log_;
-  std::optional<EventWriter> events_;
   std::unique_ptr<RunScores> scores_;
   std::optional<Annotations> annotations_;
   std::optional<ClickLog> clicks_;

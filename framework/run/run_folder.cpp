@@ -125,15 +125,6 @@ Json parse(std::string_view text, const std::string& name) {
 // A text as it is, anything else as JSON.
 std::string text_of(const Json& value) { return value.is_string() ? value.get<std::string>() : value.dump(); }
 
-constexpr std::array<std::pair<const char*, std::string LeftOutRow::*>, 6> kLeftOutFields{{
-    {"component", &LeftOutRow::component},
-    {"rule", &LeftOutRow::rule},
-    {"evidence", &LeftOutRow::evidence},
-    {"proof", &LeftOutRow::proof},
-    {"saving_estimate", &LeftOutRow::saving_estimate},
-    {"saving_measured", &LeftOutRow::saving_measured},
-}};
-
 // The file itself, taken in when the library is built.
 constexpr const char* kTable =
 #include "leave_out_table.inc"
@@ -355,30 +346,18 @@ std::vector<std::string> parse_settings_changed(std::string_view text, const std
   return changes;
 }
 
-std::string left_out_json(const std::vector<LeftOutRow>& rows) {
+std::string left_out_json(const std::vector<LeftOut>& rows) {
   Json json = Json::array();
-  for (const LeftOutRow& row : rows) {
-    Json& object = json.emplace_back(Json::object());
-    for (const auto& [name, field] : kLeftOutFields) object[name] = row.*field;
-    if (row.saving_measured.empty()) object["saving_measured"] = nullptr;  // not measured is not text
+  for (const LeftOut& row : rows) {
+    const std::string measured = row.measured.empty() ? shipped_saving(row.component) : row.measured;
+    json.push_back({{"component", row.component},
+                    {"rule", row.rule},
+                    {"evidence", row.evidence},
+                    {"proof", std::string(1, static_cast<char>(row.proof))},
+                    {"saving_estimate", row.saving},
+                    {"saving_measured", measured.empty() ? Json() : Json(measured)}});  // not measured is not text
   }
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
-}
-
-std::vector<LeftOutRow> parse_left_out(std::string_view text, const std::string& name) {
-  const Json json = parse(text, name);
-  if (!json.is_array()) throw damaged(fmt::format("'{}' is not a list", name));
-  std::vector<LeftOutRow> rows;
-  for (const Json& object : json) {
-    LeftOutRow row;
-    for (const auto& [key, field] : kLeftOutFields) {
-      if (!object.is_object() || !object.contains(key)) continue;
-      row.*field = object[key].is_null() ? "" : text_of(object[key]);
-    }
-    if (row.component.empty()) throw damaged(fmt::format("'{}': row {} names no component", name, rows.size() + 1));
-    rows.push_back(std::move(row));
-  }
-  return rows;
 }
 
 std::string shipped_saving(const std::string& component) {

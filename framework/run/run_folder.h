@@ -10,12 +10,13 @@
 
 #include "core/error.h"
 #include "formats/safetensors.h"
+#include "model/leave_out.h"
 #include "system/files.h"
 
 namespace semfield {
 
 /// Layout (all paths relative to the folder, which may be moved as a whole):
-///   run.yaml  classes.yaml  clicks.jsonl (of the labelling page)  metrics.jsonl  events.out.tfevents.*
+///   run.yaml  classes.yaml  clicks.jsonl (of the labelling page)  metrics.jsonl
 ///   environment.json  left_out.json  findings.txt  labels.json final_eval.json  worst_frames.json  labelling.json
 ///   report.html  .lock
 ///   self_labels/round_00010000.safetensors (runs with self-training)
@@ -81,15 +82,9 @@ std::vector<std::pair<std::string, std::string>> parse_environment(std::string_v
 /// What the file says of earlier changes; empty where it says nothing. Throws Error(data).
 std::vector<std::string> parse_settings_changed(std::string_view json, const std::string& name);
 
-/// A component that was not built because the scene does not need it (one row of left_out.json). saving_measured is
-/// null in the file, empty here, where nobody measured it.
-struct LeftOutRow {
-  std::string component, rule, evidence, proof;
-  std::string saving_estimate, saving_measured;
-  bool operator==(const LeftOutRow&) const = default;
-};
-std::string left_out_json(const std::vector<LeftOutRow>& rows);
-std::vector<LeftOutRow> parse_left_out(std::string_view json, const std::string& name);
+/// left_out.json: components that were not built because the scene does not need them. `saving_measured` is that of the
+/// run, else shipped_saving, else null.
+std::string left_out_json(const std::vector<LeftOut>& rows);
 
 // The checkpoints of one run: written so that a good one exists at every moment, found again by verification.
 

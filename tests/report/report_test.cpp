@@ -56,7 +56,8 @@ TEST(ReportInput, IsReadFromRunFolders) {
   write_file_atomic(first.classes_path(),
                     "- {id: 0, name: void, ignore: true}\n- {id: 4, name: wall, color: [1, 2, 3]}\n");
   write_file_atomic(first.environment_path(), "{\"cpu\": \"A & B\", \"modules\": [\"x 1\", \"y 2\"]}");
-  write_file_atomic(first.left_out_path(), left_out_json({{"coarse network", "one pass", "1 pass", "B", "25 %", ""}}));
+  write_file_atomic(first.left_out_path(),
+                    left_out_json({{"coarse network", "one pass", "1 pass", ProofClass::bitwise, "25 %"}}));
   write_file_atomic(first.worst_frames_path(), R"([{"frame": "4", "score": "mIoU 0.10"}, {"frame": "0", "score": ""},
                                                    {"frame": "gone", "score": "no pictures"}])");
   LabelCounts counts{10, 4, 100, 40, {{4, "wall", 40}}, {{"pixel_noise", {{"pixels", "12"}}}}};

@@ -1,6 +1,7 @@
 // What is left out changes no bit of what is kept: pairs of runs, one with the component forced back in.
 
 #include <cstring>
+#include <nlohmann/json.hpp>
 
 #include "compute/parallel.h"
 #include "datasets/obj_room/obj_room.h"
@@ -311,13 +312,13 @@ TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
   const std::string text = read_text_file(RunFolder::read(request.out_dir).left_out_path());
   EXPECT_LACKS(text, "\"saving_measured\": \"\"");
   bool undistortion = false;
-  for (const LeftOutRow& row : parse_left_out(text, "left_out.json")) {
-    EXPECT_NE(row.rule, row.component);
-    if (row.component == "undistortion") {
+  for (const nlohmann::json& row : nlohmann::json::parse(text)) {
+    EXPECT_NE(row["rule"], row["component"]);
+    if (row["component"] == "undistortion") {
       undistortion = true;
-      EXPECT_EQ(row.saving_measured, shipped_saving("undistortion"));
+      EXPECT_EQ(row["saving_measured"], shipped_saving("undistortion"));
     }
-    EXPECT_NE(row.component, "absent_classes");
+    EXPECT_NE(row["component"], "absent_classes");
   }
   EXPECT_TRUE(undistortion);
 }
