@@ -406,14 +406,27 @@ std::string full_name(const CLI::App& app) {
 
 std::string command(const std::string& words) { return "`" + program_name() + " " + words + "`"; }
 
+// Verbs that are gone, and what is typed in their place.
+const std::map<std::string, std::string> kGone{{"bench label", "studies/labelling.py"},
+                                               {"bench pairs", "studies/leave_out.py"},
+                                               {"bench quadrature", "studies/quadrature.py"},
+                                               {"bench scale", "studies/scale.py"},
+                                               {"capture", "pack CONFIG --format replica"},
+                                               {"classes", "labels classes"},
+                                               {"completion", "help --completion"},
+                                               {"degrade", "labels degrade"},
+                                               {"export", "labels export"},
+                                               {"fuse", "labels fuse"},
+                                               {"propagate", "labels propagate"},
+                                               {"runs", "report RUN RUN --equal"}};
+
 Error unknown_verb(const CLI::App& at, const std::string& word) {
-  const std::string group = full_name(at);
-  const std::string text = "there is no verb '" + (group.empty() ? "" : group + " ") + word + "'";
-  // Verbs that were measurements for documents.
-  static const std::map<std::string, std::string> studies{
-      {"quadrature", "quadrature"}, {"pairs", "leave_out"}, {"scale", "scale"}, {"label", "labelling"}};
-  if (const auto study = studies.find(word); group == "bench" && study != studies.end())
-    return {ErrorKind::usage, "usage.verb.unknown", text, "run studies/" + study->second + ".py of the source tree"};
+  const std::string group = full_name(at), name = (group.empty() ? "" : group + " ") + word;
+  const std::string text = "there is no verb '" + name + "'";
+  if (const auto gone = kGone.find(name); gone != kGone.end())
+    return {
+        ErrorKind::usage, "usage.verb.unknown", text + " any more",
+        "run " + (gone->second.starts_with("studies/") ? gone->second + " of the source tree" : command(gone->second))};
   const CLI::App* program = &at;
   while (program->get_parent() != nullptr) program = program->get_parent();
   std::vector<const CLI::App*> places = below(*program);
@@ -502,16 +515,15 @@ void settle_verb(const Program& program, std::vector<std::string>& words) {
   for (; first < words.size() && words[first].starts_with('-'); first += words[first] == "--plugin" ? 2 : 1)
     known = known && program.app.get_option_no_throw(words[first].substr(0, words[first].find('='))) != nullptr;
   if (first >= words.size() || words[first].empty() || verb_below(program.app, words[first]) != nullptr) return;
-  if (is_there(words[first])) {
+  if (is_there(words[first]) && !kGone.contains(words[first])) {
     words.insert(words.begin() + static_cast<std::ptrdiff_t>(first), "inspect");
   } else if (known) {
     throw unknown_verb(program.app, words[first]);
   }
 }
 
-// What the last of `words`, which may be empty, may become. The first line is "words", "files", "folders" (of which the
-// shell offers its own next to the candidates) or "list" (more may follow without a blank); then a line for each
-// candidate: it, a tab and a sentence. A word "=" alone stands between an option and its value, as bash cuts them.
+// What the last of `words`, which may be empty, may become, a line each; none where a shell offers files. A word "="
+// alone stands between an option and its value, as bash cuts them.
 std::string completions(const std::vector<std::string>& words) {
   const Program program;
   const CLI::App* at = &program.app;
@@ -536,57 +548,42 @@ std::string completions(const std::vector<std::string>& words) {
     }
   }
   // Candidates begin with `head`, which is there already; `rest` is what was typed behind it.
-  std::string rest = words.empty() || words.back() == "=" ? "" : words.back(), head, kind = "words", lines;
+  std::string rest = words.empty() || words.back() == "=" ? "" : words.back(), head, lines;
   if (const std::size_t equals = rest.find('='); rest.starts_with("--") && equals != std::string::npos) {
-    head = rest.substr(0, equals + 1);
     open = option_named(rest.substr(0, equals));
+    if (open == nullptr) return {};
+    head = rest.substr(0, equals + 1);
     rest.erase(0, equals + 1);
-    if (open == nullptr) return "words\n";
   }
-  const auto add = [&](const std::string& word, const std::string& sentence = "") {
-    if (word.starts_with(rest)) lines += head + word + "\t" + sentence + "\n";
-  };
-  const auto add_values = [&](const CLI::Option& of) {
-    const auto offered = program.offered.find(&of);
-    const bool none = offered == program.offered.end() || offered->second.empty();
-    const std::string value = of.get_positional() ? of.get_name(true) : of.get_type_name();
-    const auto is = [&](std::initializer_list<const char*> names) {  // "CONFIG_A" too
-      return std::any_of(names.begin(), names.end(), [&](const char* name) { return value.starts_with(name); });
-    };
-    if (is({"LIST"}) && !none) {
-      kind = "list";
-      const std::size_t items = rest.rfind(',') + 1;
-      head += rest.substr(0, items);
-      rest.erase(0, items);
-    } else if (is({"FILE", "PATH", "CONFIG", "TABLE", "PAGE", "PROGRAM"})) {
-      kind = "files";
-    } else if (is({"FOLDER", "RUN"})) {
-      kind = "folders";
-    }
-    if (none) return;
-    for (const std::string& one : offered->second) add(one);
+  const auto add = [&](const std::string& word) {
+    if (word.starts_with(rest)) lines += head + word + "\n";
   };
   const bool flag = rest.starts_with('-');
   const std::vector<const CLI::Option*> places =
       at->get_options([](const CLI::Option* option) { return option->get_positional(); });
+  if (open == nullptr && !flag && !places.empty() &&
+      (operands < places.size() || places.back()->get_allow_extra_args()))
+    open = places[std::min(operands, places.size() - 1)];
   if (open != nullptr) {
-    add_values(*open);
+    const std::size_t items = rest.rfind(',') + 1;  // of a list
+    head += rest.substr(0, items);
+    rest.erase(0, items);
+    const auto offered = program.offered.find(open);
+    if (offered != program.offered.end()) std::for_each(offered->second.begin(), offered->second.end(), add);
   } else if (!flag && !below(*at).empty()) {
-    for (const CLI::App* verb : below(*at)) add(verb->get_name(), verb->get_description());
-  } else if (!flag && !places.empty() && (operands < places.size() || places.back()->get_allow_extra_args())) {
-    add_values(*places[std::min(operands, places.size() - 1)]);
+    for (const CLI::App* verb : below(*at)) add(verb->get_name());
   } else {
     const auto bound = program.verbs.find(at);
     const bool json = bound == program.verbs.end() || bound->second.verb.json;
-    for (const CLI::Option* option : flags_of(*at)) add("--" + option->get_lnames().front(), option->get_description());
+    for (const CLI::Option* option : flags_of(*at)) add("--" + option->get_lnames().front());
     if (at != &program.app) {
       for (const CLI::Option* option : flags_of(program.app)) {
         const std::string& name = option->get_lnames().front();
-        if (name != "version" && (json || name != "json")) add("--" + name, option->get_description());
+        if (name != "version" && (json || name != "json")) add("--" + name);
       }
     }
   }
-  return kind + "\n" + lines;
+  return lines;
 }
 
 // As one of several processes that a launcher started.
@@ -681,7 +678,7 @@ std::string verbs_page() {
 
 int run_command_line(int argc, char** argv, AppContext& context) {
   std::vector<std::string> words(argv + 1, argv + argc), shown;
-  if (words.size() > 1 && words[0] == "completion" && words[1] == "--of") {  // unparsed: half a line
+  if (words.size() > 1 && words[0] == "help" && words[1] == "--complete") {  // unparsed: half a line
     std::fputs(completions({words.begin() + 2, words.end()}).c_str(), stdout);
     return 0;
   }

@@ -42,9 +42,8 @@ struct Declaration {
 /// The words that a verb takes: a struct that derives from this has a reference for each, made by the call that
 /// declares it. Values are written when the command line is read.
 ///
-/// The name of an option is followed by what stands for its value, "--out FOLDER": FILE, PATH and CONFIG complete to
-/// files, FOLDER and RUN to folders. A usual value that is not empty is stated as the default. A number has a range,
-/// which is checked here and stated in the help.
+/// The name of an option is followed by what stands for its value, "--out FOLDER". A usual value that is not empty is
+/// stated as the default. A number has a range, which is checked here and stated in the help.
 class Options : NonCopyable {
  public:
   explicit Options(const Declaration& at) : at_(at) {}

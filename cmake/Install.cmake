@@ -61,11 +61,10 @@ file(MAKE_DIRECTORY ${semfield_words})
 add_custom_command(OUTPUT ${semfield_words}/made
   COMMAND ${PROJECT_SOURCE_DIR}/packaging/manual_page $<TARGET_FILE:semfield_app> ${PROJECT_VERSION} > ${semfield_words}/semfield.1
   COMMAND gzip -9nf ${semfield_words}/semfield.1
-  COMMAND semfield_app completion bash > ${semfield_words}/semfield
-  COMMAND semfield_app completion zsh > ${semfield_words}/_semfield
+  COMMAND semfield_app help --completion > ${semfield_words}/semfield
   COMMAND ${CMAKE_COMMAND} -E touch ${semfield_words}/made
   DEPENDS semfield_app ${PROJECT_SOURCE_DIR}/packaging/manual_page COMMENT "Manual page and completions")
 add_custom_target(semfield_words ALL DEPENDS ${semfield_words}/made)
 install(FILES ${semfield_words}/semfield.1.gz DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT app)
 install(FILES ${semfield_words}/semfield DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT app)
-install(FILES ${semfield_words}/_semfield DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions COMPONENT app)
+install(FILES ${semfield_words}/semfield DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions RENAME _semfield COMPONENT app)

@@ -52,10 +52,10 @@ const Recipe& recipe_of(ExportKind kind) {
   static const std::array<Recipe, kExportNames.size()> recipes{
       {{"rendering the labels",
         {"labels.zip"},
-        {"export", "RUN", "--split", "train", "--format", "png", "--out", "TO"}},
+        {"labels", "export", "RUN", "--split", "train", "--format", "png", "--out", "TO"}},
        {"rendering the labels",
         {"coco.json"},
-        {"export", "RUN", "--split", "train", "--format", "coco", "--out", "TO/coco.json"}},
+        {"labels", "export", "RUN", "--split", "train", "--format", "coco", "--out", "TO/coco.json"}},
        {"finding the surface",
         {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"},
         {"mesh", "RUN", "--format", "ply,glb", "--out", "TO/mesh.ply"}},

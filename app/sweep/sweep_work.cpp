@@ -248,7 +248,7 @@ class Pool {
                    {"objects", field, "--out", (folder / "objects").string(), "--split", cell.split, "--score",
                     "--json", "--set", "objects=" + write_config_inline(*root.find("objects"))});
     } else if (!cell.fuse.method.empty()) {
-      words.insert(words.end(), {"fuse", config, "--method", cell.fuse.method, "--json"});
+      words.insert(words.end(), {"labels", "fuse", config, "--method", cell.fuse.method, "--json"});
       if (!cell.field_cell.empty()) words.insert(words.end(), {"--depth-from", field});
     } else if (fs::exists(fs::path(run) / "checkpoints" / "latest")) {
       words.insert(words.end(), {"train", "--resume", run});

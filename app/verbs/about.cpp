@@ -453,17 +453,22 @@ Verb verb_config_schema() {
                                                "print a JSON schema of configurations (and --plugin modules)", run));
 }
 
-// help and completion: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.
+// help: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.
 
 namespace {
 
 struct HelpOptions : Options {
-  explicit HelpOptions(const Declaration& at) : Options(at) { excludes("--pages", "VERB"); }
+  explicit HelpOptions(const Declaration& at) : Options(at) {
+    excludes("--pages", "VERB");
+    excludes("--completion", "VERB");
+    excludes("--completion", "--pages");
+  }
   const std::vector<std::string>& verb =
       operands("[verb]", "verb, such as: train, config check (default: the list of all verbs)", words_of_verbs());
   const std::string& pages =
       value("--pages FOLDER",
             "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
+  const bool& completion = flag("--completion", "print a script by which bash and zsh complete verbs and options");
 };
 
 // Tables of every section of a configuration, under headings of their own.
@@ -502,8 +507,23 @@ void write_pages(const fs::path& root, const AppContext& context) {
              "verbs.md and plugins.md written, " + std::to_string(filled) + " tables filled under " + root.string());
 }
 
+// What bash and zsh read; it runs the program at each TAB. zsh takes the file from a folder of functions too, where its
+// first call completes at once.
+constexpr const char* kCompletion = R"(#compdef semfield
+# Completion of semfield for bash and zsh, made by `semfield help --completion`.
+_semfield() {
+  local IFS=$'\n'
+  COMPREPLY=($("${COMP_WORDS[0]}" help --complete "${COMP_WORDS[@]:1:$COMP_CWORD}" 2>/dev/null))
+}
+if [[ -n ${ZSH_VERSION-} ]]; then autoload -Uz bashcompinit; bashcompinit; fi
+complete -o default -F _semfield semfield
+if [[ ${funcstack[1]-} == _semfield ]]; then _bash_complete -o default -F _semfield; fi
+)";
+
 int run(const HelpOptions& options, AppContext& context) {
-  if (options.pages.empty()) {
+  if (options.completion) {
+    std::fputs(kCompletion, stdout);
+  } else if (options.pages.empty()) {
     std::fputs(help_of(options.verb).c_str(), stdout);
   } else {
     write_pages(options.pages, context);
@@ -511,72 +531,9 @@ int run(const HelpOptions& options, AppContext& context) {
   return 0;
 }
 
-// What shells read. It runs the program at each TAB: `semfield completion --of WORDS`.
-
-struct CompletionOptions : Options {
-  using Options::Options;
-  const std::string& shell = operand("shell", "bash or zsh", {"bash", "zsh"});
-};
-
-constexpr const char* kBash = R"(# bash completion of semfield, made by `semfield completion bash`
-_semfield() {
-  local kind word rest
-  COMPREPLY=()
-  {
-    read -r kind
-    while IFS=$'\t' read -r word rest; do COMPREPLY+=("$word"); done
-  } < <("${COMP_WORDS[0]}" completion --of "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null)
-  local cur=${COMP_WORDS[COMP_CWORD]}
-  [[ $cur != = ]] || cur=
-  case $kind in
-    files) compopt -o filenames 2>/dev/null; mapfile -t -O ${#COMPREPLY[@]} COMPREPLY < <(compgen -f -- "$cur") ;;
-    folders) compopt -o filenames 2>/dev/null; mapfile -t -O ${#COMPREPLY[@]} COMPREPLY < <(compgen -d -- "$cur") ;;
-    list) compopt -o nospace 2>/dev/null ;;
-  esac
-}
-complete -F _semfield semfield
-)";
-
-constexpr const char* kZsh = R"(#compdef semfield
-# zsh completion of semfield, made by `semfield completion zsh`
-_semfield() {
-  local -a lines values shown end
-  local line kind
-  lines=("${(@f)$($words[1] completion --of "${(@)words[2,CURRENT]}" 2>/dev/null)}")
-  kind=$lines[1]
-  for line in ${lines[2,-1]}; do
-    values+=("${line%%$'\t'*}")
-    shown+=("${line%%$'\t'*}${${line#*$'\t'}:+  -- ${line#*$'\t'}}")
-  done
-  [[ $kind != list ]] || end=(-S '')
-  (( $#values )) && compadd $end -l -d shown -- $values
-  [[ $kind != (files|folders) ]] || compset -P '--*='
-  case $kind in
-    files) _files ;;
-    folders) _files -/ ;;
-  esac
-}
-# Loaded from a folder of functions it completes at once; read by `source` it makes itself known.
-if [[ $funcstack[1] == _semfield ]]; then
-  _semfield "$@"
-else
-  compdef _semfield semfield
-fi
-)";
-
-int run(const CompletionOptions& options, AppContext&) {
-  std::fputs(options.shell == "bash" ? kBash : kZsh, stdout);
-  return 0;
-}
-
 }  // namespace
 
 Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", run)); }
-
-Verb verb_completion() {
-  return without_json(make_verb<CompletionOptions>("completion", 220,
-                                                   "print a script that completes verbs and options in a shell", run));
-}
 
 // check-numerics: the stiff and extreme cases as a table or a JSON object.
 

@@ -1,4 +1,4 @@
-// fuse, propagate, export, classes: labels combined over views, spread, and handed to labelling tools.
+// labels fuse, propagate, export, classes: labels combined over views, spread, and handed to labelling tools.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -9,7 +9,6 @@
 #include <optional>
 
 #include "app/json_output.h"
-#include "app/render/run_surface.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
@@ -285,21 +284,24 @@ int run(const PropagateOptions& options, AppContext& context) {
 
 }  // namespace
 
-Verb verb_fuse() {
-  return make_verb<FuseOptions>("fuse", 110, "combine predictions of several views by depth, and score them", run);
+Verb verb_labels() { return make_group("labels", 100, "write labels: degraded, combined, spread, for other tools"); }
+
+Verb verb_labels_fuse() {
+  return make_verb<FuseOptions>("labels fuse", 20, "combine predictions of several views by depth, and score them",
+                                run);
 }
 
-Verb verb_propagate() {
-  return make_verb<PropagateOptions>("propagate", 120, "spread training labels over the surface that a run has learned",
-                                     run);
+Verb verb_labels_propagate() {
+  return make_verb<PropagateOptions>("labels propagate", 30,
+                                     "spread training labels over the surface that a run has learned", run);
 }
 
-// export: label maps of a run's field for labelling tools, or the run as one page to send.
+// export: label maps of a run's field for labelling tools.
 
 namespace {
 
 struct ExportVerbOptions : Options {
-  explicit ExportVerbOptions(const Declaration& at) : Options(at) { excludes("--to", "--out"); }
+  using Options::Options;
   const std::string& run = operand("run", "run folder");
   const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames to export");
   const std::string& format = choice(
@@ -312,15 +314,10 @@ struct ExportVerbOptions : Options {
   const std::optional<long long>& min_area = value_in<std::optional<long long>>(
       "--min-area N", {}, 0, 1e9,
       "merge regions of fewer pixels into the class around them; 0: none (default: 1/4096 of an image's pixels)");
-  const std::string& out = value("--out PATH", "file to write for COCO, folder for labelme and png");
-  const std::string& to =
-      value("--to FILE",
-            "instead of labels, one page that any browser opens without a network: FILE.html, with the mesh, its "
-            "classes and the objects that were found");
+  const std::string& out = required("--out PATH", "file to write for COCO, folder for labelme and png");
   const std::vector<std::string>& set = run_settings();
 };
 
-constexpr long long kPageFaces = 2'000'000;      // about 20 MB
 constexpr std::int64_t kPixelsOfARegion = 4096;  // of an image, for one of the least region that stands by itself
 
 // The stored image of a frame, "" when its dataset has none.
@@ -410,45 +407,7 @@ class Exporter {
   int frames_ = 0;
 };
 
-// The page that `semfield mesh` writes as HTML.
-int export_page(const ExportVerbOptions& options, AppContext& context) {
-  if (!options.to.ends_with(".html"))
-    throw Error(ErrorKind::usage, "export.page.ending", "--to " + options.to + ": this is not the name of a page",
-                "end it with .html; meshes and points are written by `semfield mesh --out`");
-  const OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
-  SurfaceWishes wishes;
-  wishes.faces = kPageFaces;
-  RunSurface found;
-  {
-    ProgressLine progress(context, "depth of", "views");
-    found = make_run_surface(run.session, options.run, wishes, {},
-                             {[&](const std::string& note) { print_note(context, note); },
-                              [&](double done, double of) { progress.show(done, of); }});
-  }
-  const std::filesystem::path file(options.to);
-  if (file.has_parent_path()) create_folders(file.parent_path().string());
-  const ScenePage page = scene_page_of(run.session, run.run_dir, run.step);
-  write_scene_page(options.to, found.surface, run.session.scene.info.classes, page);
-  const std::size_t objects = page.objects ? page.objects->rows.size() : 0;
-  const double megabytes = static_cast<double>(std::filesystem::file_size(file)) * 1e-6;
-  const std::size_t faces = found.surface.triangles.size();
-  print_results(
-      context,
-      {{"run", options.run},
-       {"step", run.step},
-       {"faces", faces},
-       {"objects", objects},
-       {"megabytes", megabytes},
-       {"out", options.to}},
-      fmt::format("export: faces={} objects={} megabytes={:.1f} out={}", faces, objects, megabytes, options.to));
-  return 0;
-}
-
 int run(const ExportVerbOptions& options, AppContext& context) {
-  if (!options.to.empty()) return export_page(options, context);
-  if (options.out.empty())
-    throw Error(ErrorKind::usage, "usage.flag.missing", "neither --out nor --to",
-                "name a file or folder for labels with --out, or a page with --to scene.html");
   OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
   Session& s = run.session;
   if (s.plan.class_of_logit.empty())
@@ -484,9 +443,9 @@ int run(const ExportVerbOptions& options, AppContext& context) {
 
 }  // namespace
 
-Verb verb_export() {
-  return make_verb<ExportVerbOptions>(
-      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", run);
+Verb verb_labels_export() {
+  return make_verb<ExportVerbOptions>("labels export", 40, "write the labels of a run's field for labelling tools",
+                                      run);
 }
 
 // classes: class tables from and to the forms of other tools.
@@ -564,8 +523,9 @@ int run(const ClassesOptions& options, AppContext& context) {
 
 }  // namespace
 
-Verb verb_classes() {
-  return make_verb<ClassesOptions>("classes", 140, "convert class tables from and to the formats of other tools", run);
+Verb verb_labels_classes() {
+  return make_verb<ClassesOptions>("labels classes", 50, "convert class tables from and to the formats of other tools",
+                                   run);
 }
 
 }  // namespace semfield::app

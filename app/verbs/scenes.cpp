@@ -1,4 +1,4 @@
-// init, inspect, prepare: a scene looked at, configured and made; pack, capture, degrade: written in other forms.
+// init, inspect, prepare: a scene looked at, configured and made; pack, labels degrade: written in other forms.
 #include <fmt/format.h>
 
 #include <cstdio>
@@ -500,7 +500,7 @@ Verb verb_prepare() {
                                        "make a scene from a video or photographs, or fix the cameras of a scene", run);
 }
 
-// pack, capture, degrade: a scene as one file or in Replica layout, and its training labels as images.
+// pack, labels degrade: a scene as one file or in Replica layout, and its training labels as images.
 
 namespace {
 
@@ -510,27 +510,19 @@ struct WriteOptions : Options {
   std::vector<std::string>& set = settings();
 };
 
-struct FileOptions : WriteOptions {
+struct PackVerbOptions : WriteOptions {
   using WriteOptions::WriteOptions;
-  const std::string& out = required("--out FILE", "file to write (.sfpack)");
+  const std::string& format =
+      choice("--format FORMAT", "packed", {"packed", "replica"}, "one file, or a folder of images in Replica layout");
+  const std::string& out = required("--out PATH", "file to write (.sfpack), or folder to create");
 };
 
-struct FolderOptions : WriteOptions {
+struct DegradeOptions : WriteOptions {
   using WriteOptions::WriteOptions;
   const std::string& out = required("--out FOLDER", "folder to create");
 };
 
-int pack(const FileOptions& options, AppContext& context) {
-  OpenedDataset opened = dataset_of(options.config, options.set, context);
-  Diagnostics diagnostics;
-  const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
-  print_findings(context, diagnostics);
-  print_results(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}},
-                fmt::format("pack: frames={} bytes={} file={}", summary.frames, summary.bytes, options.out));
-  return 0;
-}
-
-int capture(const FolderOptions& options, AppContext& context) {
+int write_replica(const PackVerbOptions& options, AppContext& context) {
   OpenedDataset opened = dataset_of(options.config, options.set, context);
   Diagnostics diagnostics;
   SceneInfo info = opened.dataset->open(diagnostics);
@@ -541,17 +533,28 @@ int capture(const FolderOptions& options, AppContext& context) {
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   CaptureReport report;
   {
-    ProgressLine progress(context, "captured");
+    ProgressLine progress(context, "written");
     report = capture_replica(
         *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
         opened.config.load.convention);
   }
   print_results(context, {{"frames", report.frames}, {"bytes", report.bytes}, {"folder", options.out}},
-                fmt::format("capture: frames={} bytes={} folder={}", report.frames, report.bytes, options.out));
+                fmt::format("pack: frames={} bytes={} folder={}", report.frames, report.bytes, options.out));
   return 0;
 }
 
-int degrade(const FolderOptions& options, AppContext& context) {
+int pack(const PackVerbOptions& options, AppContext& context) {
+  if (options.format == "replica") return write_replica(options, context);
+  OpenedDataset opened = dataset_of(options.config, options.set, context);
+  Diagnostics diagnostics;
+  const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
+  print_findings(context, diagnostics);
+  print_results(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}},
+                fmt::format("pack: frames={} bytes={} file={}", summary.frames, summary.bytes, options.out));
+  return 0;
+}
+
+int degrade(const DegradeOptions& options, AppContext& context) {
   refuse_used_folder(options.out);
   OpenedDataset opened = dataset_of(options.config, options.set, context);
   Diagnostics diagnostics;
@@ -575,16 +578,12 @@ int degrade(const FolderOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_pack() {
-  return make_verb<FileOptions>("pack", 90, "write a scene as one file, for machines without image libraries", pack);
+  return make_verb<PackVerbOptions>("pack", 90, "write a scene as one file, or its frames in Replica layout", pack);
 }
 
-Verb verb_capture() {
-  return make_verb<FolderOptions>("capture", 80, "write a scene's frames in Replica layout", capture);
-}
-
-Verb verb_degrade() {
-  return make_verb<FolderOptions>("degrade", 100, "write the training labels, degraded as the configuration says",
-                                  degrade);
+Verb verb_labels_degrade() {
+  return make_verb<DegradeOptions>("labels degrade", 10,
+                                   "write the training labels, degraded as the configuration says", degrade);
 }
 
 }  // namespace semfield::app

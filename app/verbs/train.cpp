@@ -1,4 +1,4 @@
-// train: start, resume, or only say what would be done; eval, report, runs: what came out of it.
+// train: start, resume, or only say what would be done; eval, report: what came out of it.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -408,15 +408,22 @@ Verb verb_eval() {
                                 run, Launch::ranks);
 }
 
-// report: error against run time of one or several runs, one self-contained page.
+// report: error against run time of one or several runs, one self-contained page; or whether two are the same training.
 
 namespace {
 
 struct ReportOptions : Options {
-  using Options::Options;
+  explicit ReportOptions(const Declaration& at) : Options(at) {
+    excludes("--equal", "--no-3d");
+    excludes("--equal", "--out");
+  }
   const std::vector<std::string>& runs = operands("run", "run folders");
   const bool& flat = flag("--no-3d", "leave out the view of the first run in 3D");
   const std::string& out = value("--out FILE", "file to write (default: report.html of the first run)");
+  const bool& equal =
+      flag("--equal",
+           "instead of a page: whether two runs are the same training, bit by bit; times, threads and places do not "
+           "count");
 };
 
 // A report needs no scene, a view of it does: where the run does not open, the note says why.
@@ -430,7 +437,29 @@ std::string scene_of(const std::string& run_dir, AppContext& context) {
   }
 }
 
+// 0 where they are.
+int compare(const ReportOptions& options, AppContext& context) {
+  if (options.runs.size() != 2)
+    throw Error(ErrorKind::usage, "usage.word.missing",
+                fmt::format("report --equal: compares two runs, not {}", options.runs.size()), "name two run folders");
+  Diagnostics diagnostics;
+  const RunComparison found = compare_runs(options.runs[0], options.runs[1], context.registry, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.shown());
+  const bool equal = found.difference.empty();
+  Json out{{"equal", equal}};
+  if (equal) {
+    out.update({{"step", found.step}, {"tensors", found.tensors}});
+  } else {
+    out["difference"] = found.difference;
+  }
+  print_results(context, out,
+                equal ? fmt::format("report: equal step={} tensors={}", found.step, found.tensors)
+                      : "report: different: " + found.difference);
+  return equal ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
 int run(const ReportOptions& options, AppContext& context) {
+  if (options.equal) return compare(options, context);
   const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
   const std::string data = read_report(options.runs);
   write_file_atomic(path, report_page(data, options.flat ? "" : scene_of(options.runs.front(), context)));
@@ -442,51 +471,7 @@ int run(const ReportOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_report() {
-  return make_verb<ReportOptions>("report", 40, "write one HTML page about one or several runs", run);
-}
-
-// runs: the group of the verbs in this folder.
-
-Verb verb_runs() { return make_group("runs", 160, "compare finished runs"); }
-
-// runs equal: whether two finished runs are the same training.
-
-namespace {
-
-struct EqualOptions : Options {
-  using Options::Options;
-  const std::string& a = operand("run_a", "run folder");
-  const std::string& b = operand("run_b", "run folder");
-};
-
-int run(const EqualOptions& options, AppContext& context) {
-  Diagnostics diagnostics;
-  const RunComparison found = compare_runs(options.a, options.b, context.registry, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.shown());
-  if (context.json) {
-    Json out{{"equal", found.difference.empty()}};
-    if (found.difference.empty()) {
-      out.update({{"step", found.step}, {"tensors", found.tensors}});
-    } else {
-      out["difference"] = found.difference;
-    }
-    print_json(context, out);
-    return found.difference.empty() ? 0 : static_cast<int>(ErrorKind::failure);
-  }
-  if (!found.difference.empty()) {
-    std::printf("runs: different: %s\n", found.difference.c_str());
-    return static_cast<int>(ErrorKind::failure);
-  }
-  std::printf("runs: equal step=%lld tensors=%zu\n", static_cast<long long>(found.step), found.tensors);
-  return 0;
-}
-
-}  // namespace
-
-Verb verb_runs_equal() {
-  return make_verb<EqualOptions>(
-      "runs equal", 10,
-      "check whether two runs are the same training, bit by bit; times, threads and places do not count", run);
+  return make_verb<ReportOptions>("report", 40, "write one HTML page about runs, or compare two bit by bit", run);
 }
 
 }  // namespace semfield::app

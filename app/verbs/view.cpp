@@ -499,7 +499,7 @@ int run(const ViewVerbOptions& options, AppContext& context) {
 int run(const ViewVerbOptions&, AppContext&) {
   throw Error(ErrorKind::unavailable, "serve.page.missing", "this build has no pages that are served",
               "build with -DSEMFIELD_WITH_SERVE=ON, which needs the package libturbojpeg0-dev, or write one: semfield "
-              "export RUN --to scene.html");
+              "mesh RUN --out scene.html");
 }
 
 #endif

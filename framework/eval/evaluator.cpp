@@ -432,7 +432,7 @@ ProtocolScore protocol_score(const Protocol& protocol, const ConfusionMatrix& co
   if (counted.empty())
     throw Error(ErrorKind::data, "eval.protocol.classes",
                 fmt::format("no class of the scene is one of {}: {}", protocol.name, join(out.void_classes)),
-                "name the classes of the scene's table as `semfield classes " + protocol.name + "` does");
+                "name the classes of the scene's table as `semfield labels classes " + protocol.name + "` does");
   double iou_sum = 0, recall_sum = 0;
   std::int64_t right = 0;
   int present = 0;

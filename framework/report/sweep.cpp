@@ -521,7 +521,8 @@ CellValues values_of_fusion(const std::string& json, const std::string& method) 
   for (const Json& row : root.is_object() ? root.value("scores", Json::array()) : Json::array()) {
     if (row.is_object() && row.value("method", "") == method) return numbers_of(row);
   }
-  throw Error(ErrorKind::data, "sweep.result.missing", "semfield fuse gave no result for the method '" + method + "'");
+  throw Error(ErrorKind::data, "sweep.result.missing",
+              "semfield labels fuse gave no result for the method '" + method + "'");
 }
 
 CellValues values_of_objects(const std::string& json) {

@@ -128,7 +128,7 @@ std::optional<CellValues> read_cell_result(const std::string& path);
 /// of training frames, where they were scored, as `given_...` and `training_...`; then seconds and steps of training.
 /// Throws Error(data) when the file holds none.
 CellValues values_of_run(const std::string& metrics_path, const std::string& split);
-/// Values of `semfield fuse --json` for `method`.
+/// Values of `semfield labels fuse --json` for `method`.
 CellValues values_of_fusion(const std::string& json, const std::string& method);
 /// Figures of `semfield objects --score --json`, then its seconds as `objects_s` and, of each part, `surface_s`, ...
 CellValues values_of_objects(const std::string& json);

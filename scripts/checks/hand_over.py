@@ -204,7 +204,7 @@ Open3D, PCL and OctoMap, handover_test leaves those out."""
     figures = {}
     with common.work_folder() as folder:
         page = folder / "room.html"
-        common.run(build / "bin" / "semfield", "export", run, "--to", page, "-q")
+        common.run(build / "bin" / "semfield", "mesh", run, "--faces", "2000000", "--out", page, "-q")
         figures["html_mb"] = page.stat().st_size * 1e-6
         missing = {"html_opens": [] if browser.programs() else ["chromium", "chromium-driver"],
                    "firefox_opens": firefox.missing()}

@@ -118,7 +118,7 @@ def main():
     shutil.rmtree(options.folder, ignore_errors=True)
     room = os.path.join(options.folder, "room_0")
     settings = [f"scene.frames={FRAMES}", "scene.test_frames=4", f"scene.width_px={WIDTH}", f"scene.height_px={HEIGHT}", "scene.hfov_deg=90"]
-    subprocess.run([options.program, "-q", "capture", os.path.join(REPOSITORY, "configs", "quickstart.yaml"), "--out", room] +
+    subprocess.run([options.program, "-q", "pack", os.path.join(REPOSITORY, "configs", "quickstart.yaml"), "--format", "replica", "--out", room] +
                    [word for setting in settings for word in ("--set", setting)], check=True)
     photos(room, os.path.join(options.folder, "my_photos"))
     scannet(room, os.path.join(options.folder, "scene0000_00"))

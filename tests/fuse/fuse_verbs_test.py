@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`semfield fuse` and `semfield propagate` as a user runs them: lines, JSON, maps, files that train again, the same
+"""`semfield labels fuse` and `semfield labels propagate` as a user runs them: lines, JSON, maps, files that train again, the same
 bytes for any threads, refusals."""
 
 import json
@@ -29,7 +29,7 @@ class Verbs(ProgramCase):
 class Fuse(Verbs):
     def test_lines_json_and_maps(self):
         self.room()
-        lines = self.ok("fuse config.yaml --method monocular,bayesian")
+        lines = self.ok("labels fuse config.yaml --method monocular,bayesian")
         self.has(lines.out, "fuse: method=monocular depth=true miou_present=1.0000 ",
                  "\nfuse: method=bayesian depth=true ")
         self.has(lines.err, "predictions are the scene's own labels")
@@ -47,7 +47,7 @@ class Fuse(Verbs):
     def test_depth_of_a_run_and_its_own_row(self):
         self.room()
         self.ok("train config.yaml --out run")
-        rows = self.json("fuse config.yaml --json --depth-from run --set fuse.tolerance=0.2 --out maps")["scores"]
+        rows = self.json("labels fuse config.yaml --json --depth-from run --set fuse.tolerance=0.2 --out maps")["scores"]
         self.assertEqual((len(rows), rows[3]["method"], rows[3]["visible_views_mean"], rows[1]["depth"]),
                          (4, "field", None, "learned"))
         self.assertGreater(rows[3]["total_accuracy"], 0.6)
@@ -58,12 +58,12 @@ class Fuse(Verbs):
         # A field of another scene: the same names, other places.
         self.pack("other.sfpack", "10")
         elsewhere = "the camera stands elsewhere in the scene of"
-        self.refused("fuse config.yaml --set scene.file=other.sfpack --depth-from run", 65, elsewhere)
+        self.refused("labels fuse config.yaml --set scene.file=other.sfpack --depth-from run", 65, elsewhere)
         # In a room a ten-thousandth as large, cameras a fifth farther out are elsewhere too.
         scaled = lambda by: f"config.yaml --set scene.load.pose_scale={by} --set scene.load.depth_scale={by}"
         self.ok(f"train {scaled('1e-4')} --steps 2 --out small")
-        self.ok(f"fuse {scaled('1e-4')} --depth-from small")
-        self.refused(f"fuse {scaled('1.2e-4')} --depth-from small", 65, elsewhere)
+        self.ok(f"labels fuse {scaled('1e-4')} --depth-from small")
+        self.refused(f"labels fuse {scaled('1.2e-4')} --depth-from small", 65, elsewhere)
 
     def test_refusals(self):
         self.room()
@@ -74,7 +74,7 @@ class Fuse(Verbs):
                                   ("--set fuse.methods=[mean]", 78, "there is no method 'mean'"),
                                   ("--depth-from nowhere", 66, "nowhere"),
                                   ("--set fuse.neighbourhood=2", 78, "a window of 2 pixels has no centre")):
-            self.refused(f"fuse config.yaml {words}", code, said)
+            self.refused(f"labels fuse config.yaml {words}", code, said)
 
 
 class Propagate(Verbs):
@@ -84,18 +84,18 @@ class Propagate(Verbs):
     def test_clicks_become_labels_that_train_again(self):
         self.room()
         self.ok(f"train config.yaml --out run {CLICKS}")
-        line = self.ok("propagate run --out soft")
+        line = self.ok("labels propagate run --out soft")
         self.assertTrue(line.out.startswith("propagate: method=surface labelled_share=0.00"), line.out)
         self.has(line.out, "accuracy=1.0000->0.", " folder=soft\n")
         self.has(line.err, "propagate.cell_m is 0.")
         soft = self.manifest("soft")
         self.assertEqual((soft["steps"][1]["type"], soft["total"]["labelled_px"]), ("propagate surface", 9 * 48 * 36))
         self.assertGreater(soft["total"]["accuracy"], 0.6)  # the field has seen 200 steps
-        row = self.json("propagate run --json --threads 1 --out one")
+        row = self.json("labels propagate run --json --threads 1 --out one")
         self.assertEqual(row["accuracy"], {"before": 1, "after": soft["total"]["accuracy"]})
         self.assertTrue(row["labelled_share"]["before"] < 0.01 and row["labelled_share"]["after"] == 1, row)
         # What was written is what trains: the same labels come back through the reader, and a run goes on with them.
-        self.ok(f"degrade config.yaml --out again {NPZ}")
+        self.ok(f"labels degrade config.yaml --out again {NPZ}")
         self.assertEqual(self.manifest("again")["total"], soft["total"])
         self.ok(f"train config.yaml --steps 20 --out second {NPZ}")
 
@@ -109,10 +109,10 @@ class Propagate(Verbs):
                                    "the edges do not ascend"),
                                   ("run --out soft --set scene.labels.frames=none", 65,
                                    "no training pixel carries a label")):
-            self.refused(f"propagate {words}", code, said)
+            self.refused(f"labels propagate {words}", code, said)
         self.pack("room.sfpack", "without_labels")
         self.ok("train config.yaml --out plain")
-        self.refused("propagate plain --out soft", 65, "the run's scene has no classes")
+        self.refused("labels propagate plain --out soft", 65, "the run's scene has no classes")
         self.assertFalse((self.dir / "soft").exists())
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`semfield degrade` on a tiny room, of which frames 0, 2 and 4 train; what it wrote is read back."""
+"""`semfield labels degrade` on a tiny room, of which frames 0, 2 and 4 train; what it wrote is read back."""
 
 import json
 import pathlib
@@ -31,7 +31,7 @@ class Degrade(ProgramCase):
 
     def test_ids_previews_classes_and_a_manifest_agree(self):
         self.config("{seed: 3, degrade: [{type: super_resolution, factor: 4, mode: sparse}, {type: pixel_noise}]}")
-        r = self.ok("degrade room.yaml --out labels")
+        r = self.ok("labels degrade room.yaml --out labels")
         self.assertEqual(names_in(self.dir), ["labels", "room", "room.yaml"])
         self.assertEqual(names_in(self.out), ["classes.yaml", "manifest.json", "preview", "semantic_class"])
         self.assertEqual(names_in(self.out / "semantic_class"), [f"semantic_class_{n}.png" for n in (0, 2, 4)])
@@ -58,14 +58,14 @@ class Degrade(ProgramCase):
 
     def test_written_labels_come_back_through_the_readers(self):
         self.config("{frames: 2, degrade: [{type: simulated_predictions, strength: 2}]}")
-        self.ok("degrade room.yaml --out first")
+        self.ok("labels degrade room.yaml --out first")
         files = lambda folder: {path.name: path.read_bytes() for path in (self.dir / folder).iterdir()}
         images = files("first/semantic_class")
         self.assertEqual(len(images), 2)
         for kind, words in (("images", "folder: first/semantic_class, pattern: 'semantic_class_{number}.png'"),
                             ("npz", "folder: first/probability, pattern: '{name}.npy'")):
             self.config(f"{{from: {{type: {kind}, {words}}}}}")
-            self.ok(f"degrade room.yaml --out {kind}")
+            self.ok(f"labels degrade room.yaml --out {kind}")
             self.assertEqual(files(f"{kind}/semantic_class"), images)
             self.assertEqual((self.manifest(kind)["total"], self.manifest(kind)["labels_from"]),
                              (self.manifest("first")["total"], kind))
@@ -76,7 +76,7 @@ class Degrade(ProgramCase):
         table = self.dir / "room/classes.yaml"
         table.write_text("".join(table.read_text().splitlines(True)[1:]))
         self.out.mkdir()  # an empty folder may be there
-        self.ok("degrade room.yaml --out labels")
+        self.ok("labels degrade room.yaml --out labels")
         written = (self.out / "classes.yaml").read_text()
         self.assertEqual((written.count("id: "), written.count("ignore: true")), (7, 1), written)
         self.assertRegex(written, r"id: 0\b.*ignore: true")
@@ -85,12 +85,12 @@ class Degrade(ProgramCase):
     def test_a_used_folder_and_problems_leave_nothing_behind(self):
         self.config("{degrade: [{type: region_noise, instances: [77]}]}")
         self.write("full/mine.txt", "keep")
-        self.ended("degrade room.yaml --out full", 73, "holds files already")
-        self.ended("degrade room.yaml --out new", 65, "no labelled training frame sees instance 77")
-        self.ended("degrade room.yaml --out new --set scene.labels.frames=none --set 'scene.labels.degrade=[]'", 65,
+        self.ended("labels degrade room.yaml --out full", 73, "holds files already")
+        self.ended("labels degrade room.yaml --out new", 65, "no labelled training frame sees instance 77")
+        self.ended("labels degrade room.yaml --out new --set scene.labels.frames=none --set 'scene.labels.degrade=[]'", 65,
                    "no training frame keeps labels")
         self.write("room/semantic_class/semantic_class_2.png", "no image")
-        self.ended("degrade room.yaml --out new", 65, "semantic_class_2.png")
+        self.ended("labels degrade room.yaml --out new", 65, "semantic_class_2.png")
         self.assertEqual(names_in(self.dir / "full"), ["mine.txt"])
         self.assertEqual(names_in(self.dir), ["full", "room", "room.yaml"])
 

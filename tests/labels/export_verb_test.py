@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`semfield export` and `semfield classes` on a tiny room; what was exported is read back and compared with what the
+"""`semfield labels export` and `semfield labels classes` on a tiny room; what was exported is read back and compared with what the
 program renders. `render` shows pixels as stored; what is exported for tools, and what degrade writes, is as viewers
 show the photographs, which an EXIF orientation turns."""
 
@@ -44,7 +44,7 @@ class Labels(ProgramCase):
 
     def given(self, name):
         """By `degrade`, a map of each photograph."""
-        self.ok(f"degrade room.yaml --out {name}")
+        self.ok(f"labels degrade room.yaml --out {name}")
         return [self.ids(f"{name}/semantic_class/semantic_class_{i}.png") for i in range(len(TURNS))]
 
     def test_exports_are_as_rendered_and_shown(self):
@@ -70,7 +70,7 @@ class Labels(ProgramCase):
         for form, reader in (("coco", "type: coco, file: coco.x"), ("coco_rle", "type: coco, file: coco_rle.x"),
                              ("labelme", "type: labelme, folder: labelme.x"),
                              ("png", "type: images, folder: png.x, pattern: '{name}_label.png'")):
-            self.has(self.ok(f"export run --split train --min-area 0 --format {form} --out {form}.x").out,
+            self.has(self.ok(f"labels export run --split train --min-area 0 --format {form} --out {form}.x").out,
                      "export: frames=6 ")
             self.config(f"{scene}, labels: {{from: {{{reader}}}}}")
             self.assertEqual(self.given(f"{form}_back"), rendered, form)
@@ -78,14 +78,14 @@ class Labels(ProgramCase):
         self.assertEqual(self.given("packed"), labels)
         # A run that loads its images smaller: labels have the size of the images, unless an option says otherwise.
         for size, width in (("stored", 40), ("trained", 20)):
-            self.ok(f"export run --split train --set scene.load.downscale=2 --size {size} --out half.json")
+            self.ok(f"labels export run --split train --set scene.load.downscale=2 --size {size} --out half.json")
             self.assertEqual(json.loads((self.dir / "half.json").read_text())["images"][0]["width"], width)
         # No region of the exported labels is smaller than asked.
-        calm = self.ok("export run --split train --min-area 30 --format coco --out calm.json")
+        calm = self.ok("labels export run --split train --min-area 30 --format coco --out calm.json")
         self.has(calm.err, " regions of fewer than 30 pixels")
         regions = json.loads((self.dir / "calm.json").read_text())["annotations"]
         self.assertGreaterEqual(min(region["area"] for region in regions), 30)
-        self.has(self.semfield("export run --format coc --out x.json").err, "coco?", "[usage.value.invalid]")
+        self.has(self.semfield("labels export run --format coc --out x.json").err, "coco?", "[usage.value.invalid]")
 
     def test_probabilities_and_fused_maps_are_as_shown(self):
         """Frame 0 is shown upside down; the room's own label images are drawn over it so."""
@@ -93,26 +93,26 @@ class Labels(ProgramCase):
         set_orientation(self.dir / "room/rgb/rgb_0.png", 3)
         own = "semantic_class/semantic_class_0.png"
         self.config(ROOM[1:-1])
-        self.ok("fuse room.yaml --method monocular --out maps")
+        self.ok("labels fuse room.yaml --method monocular --out maps")
         self.assertEqual(self.ids("maps/monocular/rgb_0_label.png"), self.ids(f"room/{own}"))
         self.config(f"{ROOM[1:-1]}, labels: {{degrade: [{{type: simulated_predictions}}]}}")
-        self.ok("degrade room.yaml --out given")
+        self.ok("labels degrade room.yaml --out given")
         data = (self.dir / "given/probability/rgb_0.npy").read_bytes()
         soft = struct.unpack("<7200f", data[-28800:])
         best = [max(range(6), key=lambda k: soft[p + k]) + 1 for p in range(0, 7200, 6)]
         self.assertEqual(bytes(best), self.ids(f"given/{own}"))
 
     def test_classes_converts_tables(self):
-        nyu = self.ok("classes nyu40").out
+        nyu = self.ok("labels classes nyu40").out
         self.assertEqual((nyu.count("{id: "), 'id: 5, name: "chair"' in nyu), (41, True), nyu)
-        self.ok("classes scannet20 --format cvat --out labelmap.txt")
-        rows = self.ok("classes labelmap.txt --format csv").out.splitlines()
+        self.ok("labels classes scannet20 --format cvat --out labelmap.txt")
+        rows = self.ok("labels classes labelmap.txt --format csv").out.splitlines()
         self.assertEqual((rows[:3], len(rows)), (["class_id,class", "0,void", "1,wall"], 22))
-        self.assertNotEqual(self.ok("classes nyu13 --colors semfield").out, self.ok("classes nyu13").out)
+        self.assertNotEqual(self.ok("labels classes nyu13 --colors semfield").out, self.ok("labels classes nyu13").out)
         self.write("l.tsv", "id\traw_category\tnyu40id\n2\toffice chair\t5\n")
-        self.has(self.ok("classes l.tsv --ids nyu40").out, '{id: 5, name: "chair"')
-        self.has(self.ok("classes l.tsv").out, '{id: 2, name: "office chair"')
-        self.ended("classes nyu13 --ids nyu40", 2, "semfield: --ids nyu40", "'nyu13'",
+        self.has(self.ok("labels classes l.tsv --ids nyu40").out, '{id: 5, name: "chair"')
+        self.has(self.ok("labels classes l.tsv").out, '{id: 2, name: "office chair"')
+        self.ended("labels classes nyu13 --ids nyu40", 2, "semfield: --ids nyu40", "'nyu13'",
                    "scannetv2-labels.combined.tsv", "[usage.flag.conflict]")
 
 

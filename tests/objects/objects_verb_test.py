@@ -25,7 +25,7 @@ class Objects(ProgramCase):
 
     def views(self):
         """Its classes plus one, a map of 48 x 36 pixels for each view's name."""
-        self.ok("capture config.yaml --out captured")
+        self.ok("pack config.yaml --format replica --out captured")
         return {f"view_{i:02}": self.dir / f"captured/semantic_class/semantic_class_{i}.png" for i in range(12)}
 
     def read(self, path):

@@ -79,10 +79,10 @@ class ModuleTrust(ModuleCase):
         sweep = self.write("sweep.yaml", "base: named.yaml\nvariants: {v: }\n")
         for verb in (("config", "check", self.named), ("config", "explain", self.named), ("config", "diff", self.named,
                                                                                           self.named),
-                     ("inspect", self.named), ("fuse", self.named), ("pack", self.named, "--out",
+                     ("inspect", self.named), ("labels", "fuse", self.named), ("pack", self.named, "--out",
                                                                      self.dir / "p.sfpack"),
-                     ("capture", self.named, "--out", self.dir / "captured"), ("sweep", sweep, "--dry-run"),
-                     ("degrade", self.named, "--out", self.dir / "degraded"), ("train", self.named, "--dry-run")):
+                     ("pack", self.named, "--format", "replica", "--out", self.dir / "captured"), ("sweep", sweep, "--dry-run"),
+                     ("labels", "degrade", self.named, "--out", self.dir / "degraded"), ("train", self.named, "--dry-run")):
             self.ended(self.run_words(*verb), 78,
                        f"named.yaml:4:11: the module '{self.module}' was not loaded: it is code",
                        f"add --plugin {self.module} (in Python: ", ", or set SEMFIELD_PLUGIN_PATH")
@@ -106,7 +106,7 @@ class ModuleTrust(ModuleCase):
         run, module = self.dir / "run", probe("sound")
         self.ok(self.run_words("train", self.base, "--out", run, "--plugin", module))
         self.has((run / "run.yaml").read_text(), "probe_sound.so")
-        for verb in (("eval", run), ("render", run), ("export", run, "--out", self.dir / "labels.json"),
+        for verb in (("eval", run), ("render", run), ("labels", "export", run, "--out", self.dir / "labels.json"),
                      ("train", "--resume", run)):
             self.ended(self.run_words(*verb), 78, f"add --plugin {module}")
             self.assertFalse(self.ran, f"{verb[0]} ran code that a run folder names")

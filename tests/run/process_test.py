@@ -245,19 +245,19 @@ class RunTruth(ProgramCase):
             self.ok(f"{words} --set scene.file=moved.sfpack", self.dir / "elsewhere")
         self.ok("eval run")
 
-    def test_runs_equal_compares_what_was_trained(self):
+    def test_report_equal_compares_what_was_trained(self):
         self.room(8)
         for name, more in (("a", "--threads 1"), ("b", "--threads 2 --set report.log_every_steps=3 --memory 100"),
                            ("seed", "--threads 1 --set runtime.seed=7"), ("longer", "--threads 1 --steps 9")):
             self.ok(f"train config.yaml --out {name} {more}")
 
         def compare(other, code, said):
-            result = self.ended(f"runs equal a {other}", code)
+            result = self.ended(f"report a {other} --equal", code)
             self.assertTrue(result.out.startswith(said), result.out)
 
-        compare("b", 0, "runs: equal step=8 tensors=")
-        compare("seed", 1, "runs: different: runtime.seed: 1 -> 7\n")
-        compare("longer", 1, "runs: different: step: 8 -> 9\n")
+        compare("b", 0, "report: equal step=8 tensors=")
+        compare("seed", 1, "report: different: runtime.seed: 1 -> 7\n")
+        compare("longer", 1, "report: different: step: 8 -> 9\n")
         # Equal runs have the same identity, whatever their threads.
         file_of = lambda name: self.dir / name / "checkpoints/step_00000008.safetensors"
         a, b, seed = (header_of(file_of(name))["__metadata__"]["config_hash"] for name in ("a", "b", "seed"))
@@ -276,8 +276,8 @@ class RunTruth(ProgramCase):
         seal(f"semfield.crc32c:{tensor}", lambda: data[first:last])
         seal("semfield.crc32c", lambda: data)
         file_of("b").write_bytes(data)
-        compare("b", 1, f"runs: different: tensor '{tensor}' differs from element 2 on\n")
-        self.ended("runs equal a nowhere", 66)
+        compare("b", 1, f"report: different: tensor '{tensor}' differs from element 2 on\n")
+        self.ended("report a nowhere --equal", 66)
 
     def test_a_resume_may_take_another_seed_or_learning_rate(self):
         """What helps a run over a step that fails may change; the remedy of such a step says so."""

@@ -228,7 +228,7 @@ def play(program, scene, name, spoil, named_by, by_hand):
 
 def shipped_room(program, out, frames, test_frames, width):
     size = {"frames": frames, "test_frames": test_frames, "width_px": width, "height_px": width * 3 // 4}
-    common.run(program, "capture", common.QUICKSTART, "--out", out, "--quiet",
+    common.run(program, "pack", common.QUICKSTART, "--format", "replica", "--out", out, "--quiet",
                *(f"--set=scene.{key}={value}" for key, value in size.items()))
 
 

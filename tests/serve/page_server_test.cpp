@@ -424,8 +424,8 @@ TEST_F(Exports, LabelsAreRenderedWithLowPriorityAndZipped) {
   EXPECT_EQ(done["state"], "done") << done;
   EXPECT_EQ(done["files"], Json{"labels.zip"});
   EXPECT_EQ(source_.saves, 1);
-  EXPECT_EQ(read_text_file(folder_ + "/words"), "export " + folder_ + " --split train --format png --out " + folder_ +
-                                                    "/export/labels-1 --plugin waves.so\n");
+  EXPECT_EQ(read_text_file(folder_ + "/words"), "labels export " + folder_ + " --split train --format png --out " +
+                                                    folder_ + "/export/labels-1 --plugin waves.so\n");
   EXPECT_EQ(read_text_file(folder_ + "/nice"), "10\n");
   const Answer file = get("export/labels-1/0");
   EXPECT_EQ(file.status, 200);

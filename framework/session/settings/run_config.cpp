@@ -162,8 +162,8 @@ void each_section(Config& config, Fn&& section) {
   section("train.self_training", "labels that the field gives to unlabelled training pixels", config.self_training);
   section("runtime", "device, threads, seed and exact savings", config.runtime);
   section("report", "what is measured and kept while training", config.report);
-  section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
-  section("propagate", "labels spread over a run's surface by `semfield propagate`", config.propagate);
+  section("fuse", "labels of several views combined by `semfield labels fuse`", config.fuse);
+  section("propagate", "labels spread over a run's surface by `semfield labels propagate`", config.propagate);
   section("objects", "objects of segments of images, found by `semfield objects`", config.objects);
   section("objects.damage", "what is done to segments before, for evaluations", config.segment_damage);
   section("limits", "how large inputs may be; what is larger is refused", config.limits);
