@@ -1,26 +1,16 @@
 #include "app/bench/step_case.h"
 
-#include <fcntl.h>
-#include <fmt/format.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cmath>
-#include <csignal>
-#include <nlohmann/json.hpp>
 
-#include "app/child_process.h"
 #include "compute/parallel.h"
 #include "core/check.h"
-#include "core/error.h"
 #include "core/rng.h"
 #include "model/param_store.h"
 #include "session/assembly.h"
 #include "session/ray_source.h"
 #include "session/trainer.h"
-#include "system/files.h"
 
 namespace semfield {
 
@@ -230,79 +220,6 @@ double total_flop(const std::vector<LayerWork>& layers) {
   double sum = 0;
   for (const LayerWork& layer : layers) sum += layer.flop();
   return sum;
-}
-
-namespace {
-
-using nlohmann::json;
-
-std::string python_with_torch(const std::string& chosen) {
-  const std::vector<std::string> candidates =
-      chosen.empty() ? std::vector<std::string>{"python3", "/usr/bin/python3"} : std::vector<std::string>{chosen};
-  for (const std::string& name : candidates) {
-    const std::string python = name.find('/') == std::string::npos ? app::program_in_path(name) : name;
-    if (!python.empty() && app::run_logged_child({python, "-c", "import torch"}, "/dev/null", [] {}) == 0)
-      return python;
-  }
-  throw Error(ErrorKind::unavailable, "study.peer.missing", "no Python with torch (asked: " + join(candidates) + ")",
-              "install python3-torch, or name an interpreter with --python");
-}
-
-json parsed(const std::string& line) {
-  const json answer = json::parse(line, nullptr, false);
-  if (!answer.is_object())
-    throw Error(ErrorKind::unavailable, "study.peer.failed", "the peer answered '" + line.substr(0, 200) + "'");
-  if (answer.contains("error")) throw Error(ErrorKind::unavailable, "study.peer.failed", answer["error"].dump());
-  return answer;
-}
-
-}  // namespace
-
-Peer::Peer(const std::string& script, const std::string& python, int threads, const std::string& device)
-    : name_(python_with_torch(python)), child_(SIGTERM) {
-  std::vector<std::string> words{name_, script, "--serve", "--device", device};
-  if (device == "cpu") words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
-  app::Pipe in = app::open_pipe(name_), out = app::open_pipe(name_);
-  child_.pid = app::start_child(words, app::ChildStreams{in.read, out.write, STDERR_FILENO});
-  to_ = std::move(in.write);
-  from_ = std::move(out.read);
-  out.write = -1;
-  const json about = parsed(read_line());
-  description_ = fmt::format("PyTorch {}, {} threads, BLAS {}, allocator {}, ATen {}", about.value("torch", "?"),
-                             about.value("threads", 0), about.value("blas", "?"),
-                             about.value("preload", "").empty() ? "of the C library" : about.value("preload", ""),
-                             about.value("capability", "?"));
-  if (device == "cpu" && about.value("blas", "") == "reference") {
-    throw Error(ErrorKind::unavailable, "study.peer.slow",
-                "PyTorch here multiplies matrices with the reference BLAS, 50 times too slow to compare",
-                "install libopenblas0-openmp");
-  }
-}
-
-std::string Peer::read_line() {
-  std::size_t end = 0;
-  while ((end = pending_.find('\n')) == std::string::npos) {
-    std::array<char, 4096> buffer;
-    const ssize_t got = read(from_, buffer.data(), buffer.size());
-    if (got <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' ended without an answer");
-    pending_.append(buffer.data(), static_cast<std::size_t>(got));
-  }
-  std::string line = pending_.substr(0, end);
-  pending_.erase(0, end + 1);
-  return line;
-}
-
-PeerTimes Peer::measure(const PeerRequest& r) {
-  const json request{{"net", r.net},         {"mode", r.mode},   {"rays", r.rays},
-                     {"classes", r.classes}, {"steps", r.steps}, {"log2_entries", r.log2_entries}};
-  const std::string text = request.dump() + "\n";
-  for (std::size_t sent = 0; sent < text.size();) {
-    const ssize_t n = write(to_, text.data() + sent, text.size() - sent);
-    if (n <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' takes no more requests");
-    sent += static_cast<std::size_t>(n);
-  }
-  const json answer = parsed(read_line());
-  return {answer.value("seconds", 0.0), answer.value("processor", 0.0)};
 }
 
 }  // namespace semfield

@@ -8,12 +8,10 @@
 #include <string>
 #include <vector>
 
-#include "app/child_process.h"
 #include "core/non_copyable.h"
 #include "plugin/registry.h"
 #include "session/ray_source.h"
 #include "session/trainer.h"
-#include "system/files.h"
 
 namespace semfield {
 
@@ -78,43 +76,5 @@ Spread spread_of(std::vector<double> values);
 /// Runs every measurement once per round, in order (A B A B ...), `repeats` rounds; what drifts then meets all alike.
 /// Returns one spread a measurement.
 std::vector<Spread> alternate(const std::vector<std::function<double()>>& measurements, int repeats);
-
-// The PyTorch steps of studies/peers as a program that measures on request: it answers one line for each line, so that
-// its work can alternate with ours.
-
-/// One step of the peer to be measured.
-struct PeerRequest {
-  std::string net;  ///< paper or hash
-  std::string mode = "fp32";
-  std::int64_t rays = 1024;
-  int classes = 29;
-  int log2_entries = 15;  ///< hash
-  int steps = 1;          ///< mean of so many
-};
-
-/// Of a step; `processor`: summed over the peer's threads.
-struct PeerTimes {
-  double seconds = 0, processor = 0;
-};
-
-class Peer {
- public:
-  /// Finds a Python with torch (`python`, or python3 on PATH, or the system's) and starts `script` as a server on
-  /// the device (cpu, where it is tuned, or cuda). Throws Error(unavailable) with the reason where that cannot be had.
-  Peer(const std::string& script, const std::string& python, int threads, const std::string& device = "cpu");
-
-  /// Throws Error(unavailable) with the peer's own words.
-  PeerTimes measure(const PeerRequest& request);
-  /// Version, threads and what was tuned, in words.
-  const std::string& description() const { return description_; }
-
- private:
-  /// One line of its output, without the end. Throws Error(unavailable) when it has ended.
-  std::string read_line();
-
-  std::string name_, description_, pending_;
-  app::OwnedChild child_;
-  FileDescriptor to_, from_;  ///< its stdin and stdout, which end before it
-};
 
 }  // namespace semfield

@@ -19,7 +19,7 @@
 #include <string>
 
 #include "app/app_context.h"
-#include "app/bench/bench_studies.h"
+#include "app/bench/bench.h"
 #include "app/child_process.h"
 #include "app/command_line.h"
 #include "app/json_output.h"
@@ -639,25 +639,15 @@ Verb verb_check_numerics() {
                                          "check stiff and extreme cases against their references", run);
 }
 
-// bench: whole training steps, timed by studies that are a library of their own.
+// bench: whole training steps, timed by a library of its own.
 
 namespace {
 
 // Most runs of the program do without the library. Throws Error(unavailable) where it is missing, naming what to build.
-template <class Options>
-int run_study(const char* symbol, const Options& options, AppContext& context) {
-  using Study = int (*)(const Options&, AppContext&);
-  const auto study =
-      reinterpret_cast<Study>(part_symbol("semfield_bench", symbol, "the studies of `bench` cannot be loaded"));
-  return study(options, context);
-}
-
-int run(const BenchGpuOptions& options, AppContext& context) {
-  return run_study("semfield_bench_gpu", options, context);
-}
-
-int run(const BenchStepOptions& options, AppContext& context) {
-  return run_study("semfield_bench_step", options, context);
+int run_bench(const char* device, const BenchOptions& options, AppContext& context) {
+  const auto bench = reinterpret_cast<BenchFunction>(
+      part_symbol("semfield_bench", "semfield_bench", "the measurements of `bench` cannot be loaded"));
+  return bench(options, device, context);
 }
 
 }  // namespace
@@ -665,11 +655,15 @@ int run(const BenchStepOptions& options, AppContext& context) {
 Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
 
 Verb verb_bench_gpu() {
-  return make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", run);
+  return make_verb<BenchOptions>(
+      "bench gpu", 20, "time training steps and frames on a GPU",
+      [](const BenchOptions& options, AppContext& context) { return run_bench("cuda", options, context); });
 }
 
 Verb verb_bench_step() {
-  return make_verb<BenchStepOptions>("bench step", 30, "time whole training steps, next to the machine's limits", run);
+  return make_verb<BenchOptions>(
+      "bench step", 30, "time whole training steps on the CPU",
+      [](const BenchOptions& options, AppContext& context) { return run_bench("cpu", options, context); });
 }
 
 }  // namespace semfield::app

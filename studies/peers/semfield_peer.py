@@ -7,8 +7,7 @@ error and cross-entropy, Adam. `hash` is a hash grid [Mueller22] with a 64-wide 
 Both are written from the papers. What is computed a step is what semfield computes, without its exact savings: the
 class layer runs on every sample and the feature layer is a product of its own, as implementations of the method do.
 
-The script runs alone (prints one JSON object) or as a server (--serve: one JSON request a line on stdin, one JSON
-answer a line on stdout), which lets semfield alternate its own steps with these. See README.md beside it.
+Prints one JSON object. See README.md beside it.
 """
 import argparse
 import ctypes.util
@@ -56,7 +55,6 @@ def parse_arguments():
     p.add_argument("--repeats", type=int, default=5)
     p.add_argument("--threads", type=int, default=0, help="CPU threads; 0: PyTorch's own choice")
     p.add_argument("--tuned", action="store_true", help="restart with the environment that makes PyTorch fastest")
-    p.add_argument("--serve", action="store_true", help="answer requests on stdin until it ends")
     return p.parse_args()
 
 
@@ -343,35 +341,10 @@ def describe():
             "preload": os.environ.get("LD_PRELOAD", ""), "capability": os.environ.get("ATEN_CPU_CAPABILITY", "default")}
 
 
-def serve(args):
-    """Requests: {net, mode, rays, classes, log2_entries, steps}. The first of a kind builds and warms up."""
-    cases = {}
-    print(json.dumps(describe()), flush=True)
-    for line in sys.stdin:
-        try:
-            r = json.loads(line)
-            key = (r["net"], r["mode"], args.device, r["rays"], r["classes"], r.get("log2_entries", 15),
-                   r.get("chunk", args.chunk), args.plain)
-            if key not in cases:
-                cases[key] = Step(*key)
-                cases[key].seconds(1)
-            steps = r.get("steps", 1)
-            processor = time.process_time()
-            seconds = cases[key].seconds(steps)
-            processor = (time.process_time() - processor) / steps
-            answer = {"seconds": seconds, "processor": processor, "samples": cases[key].samples}
-        except (ValueError, KeyError, RuntimeError) as error:
-            answer = {"error": str(error)}
-        print(json.dumps(answer), flush=True)
-
-
 def main(args):
     if args.threads > 0:
         torch.set_num_threads(args.threads)
     torch.set_flush_denormal(True)
-    if args.serve:
-        serve(args)
-        return
     case = Step(args.net, args.mode, args.device, args.rays, args.classes, args.log2_entries, args.chunk, args.plain)
     steps = 1 if args.device == "cpu" and args.net == "paper" else 3 if args.device == "cpu" else 20
     case.seconds(max(1, steps // 2))
@@ -380,7 +353,8 @@ def main(args):
     processor = (time.process_time() - processor) / (args.repeats * steps)
     middle = statistics.median(times)
     out = dict(describe(), net=args.net, mode=args.mode, device=args.device, rays=args.rays, chunk=case.chunk,
-               seconds=middle, seconds_min=min(times), seconds_max=max(times), processor_seconds=processor, samples_per_second=case.samples / middle)
+               seconds=middle, seconds_min=min(times), seconds_max=max(times),
+               processor_seconds=processor, samples_per_second=case.samples / middle)
     print(json.dumps(out))
 
 

@@ -2,10 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include <chrono>
-
 #include "app/bench/step_case.h"
-#include "compute/peak_probe.h"
 #include "plugin/loader.h"
 
 namespace semfield {
@@ -110,39 +107,6 @@ TEST(Spreads, MeasurementsAlternate) {
   std::string order;
   alternate({[&] { return order += 'a', 0.0; }, [&] { return order += 'b', 0.0; }}, 3);
   EXPECT_EQ(order, "ababab");
-}
-
-// What a loop leaves behind shows how many rounds each of its chains made; a count that is none of theirs shows. The
-// time beside it is the machine's.
-TEST(PeakProbe, CountsTheOperationsThatItsLoopsExecute) {
-  const double chains = kProbeChains, rounds = kProbeRounds;
-  std::vector<std::string> names;
-  for (const ProbeCall& call : probe_calls()) {
-    const std::string name = names.emplace_back(call.name);
-    if (name == "fp32") {
-      const double lanes = call.operations / (2 * chains * rounds);
-      double sum = 0;
-      for (int i = 0; i < kProbeChains; ++i) sum += lanes * (1 + i * std::pow(kProbeScale, rounds));
-      EXPECT_NEAR(call.result, sum, 0.01 * sum) << lanes << " floats in a vector";
-    } else if (name == "bf16") {
-      const double pairs = call.operations / (2 * 2 * chains * rounds);
-      double sum = 0;
-      for (int i = 0; i < kProbeChains; ++i) sum += pairs * (1 + i + 0.5 * rounds * (0.004 + 0.000006));
-      EXPECT_NEAR(call.result, sum, 0.02 * sum) << pairs << " pairs in a vector";
-    } else {
-      EXPECT_EQ(name, "tiles");
-      EXPECT_EQ(call.result, 0.25 * call.operations) << "an operation is a product or a sum, and half are with 0";
-    }
-  }
-  EXPECT_EQ(names.front(), "fp32");
-}
-
-TEST(PeakProbe, EveryThreadMakesACallAndRatesAreOfTheTimeThatPassed) {
-  const auto begin = std::chrono::steady_clock::now();
-  const double rate = peak_fp32_flops(2, 0.02);
-  const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-  const double a_call = probe_calls().front().operations;
-  EXPECT_GE(rate * wall_s, 2 * a_call) << "operations of at least a call of each thread";
 }
 
 }  // namespace

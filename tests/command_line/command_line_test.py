@@ -233,7 +233,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
 OFFERED = {
     "tr": "train", "config ": "check diff explain schema", "-q config ch": "check", "help conf": "config",
     "--plugin x.so config ch": "check",
-    "eval --sp": "--split", "train room.yaml --dr": "--dry-run", "bench step --pe": "--peers --peer-script",
+    "eval --sp": "--split", "train room.yaml --dr": "--dry-run", "bench step --si": "--size",
     "eval --vid": "", "help --compl": "--completion",
     "--pl": "--plugin", "eval --js": "--json", "help --js": "",  # --json where there is one
     "eval runs --split ": "test train", "eval runs --split te": "test", "eval runs --split=te": "test",
