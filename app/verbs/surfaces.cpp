@@ -38,25 +38,17 @@
 
 namespace semfield::app {
 
-// mesh: what a run's cameras saw, as a surface, as points, splats or maps, with colours, class ids and objects.
+// mesh: what a run's cameras saw, as a surface, as points or maps, with colours, class ids and objects.
 
 namespace {
 
-enum class Holds : std::uint8_t { surface, page, points, splats, map };
+enum class Holds : std::uint8_t { surface, page, points, map };
 
 // Each is called by the ending of its files.
-constexpr std::pair<const char*, Holds> kForms[] = {{"ply", Holds::surface},
-                                                    {"obj", Holds::surface},
-                                                    {"glb", Holds::surface},
-                                                    {"html", Holds::page},
-                                                    {"las", Holds::points},
-                                                    {"pcd", Holds::points},
-                                                    {"splats.ply", Holds::splats},
-                                                    {"splat", Holds::splats},
-                                                    {"npz", Holds::map},
-                                                    {"bt", Holds::map},
-                                                    {"ot", Holds::map},
-                                                    {"pgm", Holds::map}};
+constexpr std::pair<const char*, Holds> kForms[] = {
+    {"ply", Holds::surface}, {"obj", Holds::surface}, {"glb", Holds::surface}, {"html", Holds::page},
+    {"las", Holds::points},  {"pcd", Holds::points},  {"npz", Holds::map},     {"bt", Holds::map},
+    {"ot", Holds::map},      {"pgm", Holds::map}};
 
 std::vector<std::string> known_formats() {
   std::vector<std::string> names;
@@ -148,10 +140,10 @@ MeshTargets mesh_targets(const MeshOptions& options) {
   const bool folder = options.out.empty() || options.out.ends_with('/') || is_folder(options.out);
   const fs::path into = options.out.empty() ? options.run : options.out;
   MeshTargets targets{folder ? into / "mesh" : into, options.formats};
-  std::string ending;  // the longest that is known: "room.splats.ply" is no surface
+  std::string ending;
   const std::string name = folder ? std::string() : targets.stem.filename().string();
   for (const std::string& format : known_formats())
-    if (name.ends_with("." + format) && format.size() > ending.size()) ending = format;
+    if (name.ends_with("." + format)) ending = format;
   if (targets.formats.empty()) {
     const fs::path extension = folder ? fs::path() : targets.stem.extension();
     if (ending.empty() && !extension.empty()) check_format(extension.string().substr(1), "--out " + options.out);
@@ -183,11 +175,9 @@ double spacing_of(const MeshOptions& options, const Box& bounds, long long cells
                                 static_cast<double>(options.resolution.value_or(cells)));
 }
 
-constexpr long long kMeshResolution = 256;          // cells along the longest side, where none are asked for
-constexpr long long kSplatResolution = 384;         // finer than a mesh: a splat has one colour
-constexpr std::int64_t kFittedPixels = 64'000'000;  // of all views that colours of splats are fitted to
-constexpr long long kMapResolution = 128;           // of scenes that are no rooms in metres
-constexpr double kMapEdge = 0.05;                   // metres; what robots plan with
+constexpr long long kMeshResolution = 256;  // cells along the longest side, where none are asked for
+constexpr long long kMapResolution = 128;   // of scenes that are no rooms in metres
+constexpr double kMapEdge = 0.05;           // metres; what robots plan with
 
 // What a robot of half a metre meets.
 HeightBand band_of(const MeshOptions& options, double metre) {
@@ -201,7 +191,7 @@ HeightBand band_of(const MeshOptions& options, double metre) {
   return band;
 }
 
-// Points, splats and maps as files for other programs, and what goes with all files.
+// Points and maps as files for other programs, and what goes with all files.
 class HandOver {
  public:
   /// Reads the objects of the run, where it has some, and notes those of another step. Borrows all but `up`, which is
@@ -254,18 +244,13 @@ class HandOver {
   /// Renders the training views, where a form needs them. Throws Error(usage) for cubes that are too many.
   void look() {
     Session& s = run_.session;
-    if (!wants_points() && !targets_.writes(Holds::splats) && !targets_.writes(Holds::map)) return;
+    if (!wants_points() && !targets_.writes(Holds::map)) return;
     const Box& bounds = s.extent.bounds;
-    const std::array<double, 3> background = s.pipeline->options().rules.background();
-    PointCloud cloud(spacing_of(options_, bounds, kMeshResolution), background);
-    std::optional<SplatVolume> splats;
+    PointCloud cloud(spacing_of(options_, bounds, kMeshResolution), s.pipeline->options().rules.background());
     const auto around = [&](double edge) {  // a wall on the bounds lies in the cube behind them
       const Vec3d margin{edge, edge, edge};
       return VoxelGridPlace::covering({bounds.lo - margin, bounds.hi + margin}, edge);
     };
-    if (targets_.writes(Holds::splats))
-      splats.emplace(*s.pipeline, around(spacing_of(options_, bounds, kSplatResolution)), bounds,
-                     s.limits.clip && s.config.rendering.far == FarMode::background);
     if (targets_.writes(Holds::map)) {
       const bool usual = !options_.voxel && !options_.resolution && is_in_metres(s.scene.info.metric, bounds.size());
       const double edge = usual ? kMapEdge : spacing_of(options_, bounds, kMapResolution);
@@ -273,10 +258,6 @@ class HandOver {
     }
     const std::vector<int> frames = s.scene.frames_of(Split::train);
     const std::vector<RayCamera> cameras = training_cameras(s);
-    std::vector<SplatView> shown;  // every so many views, which bounds their memory
-    std::int64_t pixels_of_all = 0;
-    for (const RayCamera& view : cameras) pixels_of_all += std::int64_t{view.camera.width_px} * view.camera.height_px;
-    const auto every = static_cast<std::size_t>(1 + pixels_of_all / kFittedPixels);
     ProgressLine progress(context_, "points of", "views");
     for (std::size_t i = 0; i < frames.size(); ++i) {
       const RayCamera& camera = cameras[i];
@@ -286,28 +267,18 @@ class HandOver {
       };
       const RenderedFrame frame =
           render_named_frame(*s.pipeline, name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
-      if (splats) splats->add(camera, frame, s.limits);
-      if (splats && i % every == 0) shown.push_back({camera, to_bytes(frame.rgb)});
-      if (!wants_points() && !map_) continue;
       const SeenPixels pixels = seen_pixels(camera, frame);
       if (wants_points()) cloud.add(frame, pixels);
       if (map_) map_->add(camera, frame, pixels);
     }
     points_ = cloud.points();
-    if (splats) {
-      splats_ = splats->splats();
-      fit_colors(splats_, shown, background);
-    }
-    for (PointSet* set : {&points_, &splats_.points}) set->attributes.instance = instances(set->positions);
+    points_.attributes.instance = instances(points_.positions);
   }
 
   const PointSet& points() const { return points_; }  ///< empty unless --points or a form asks for them
   /// Writes every form that is no surface, and adds its files.
   void write() {
-    if (options_.color == "class") {
-      for (PointSet* set : {&points_, &splats_.points})
-        set->attributes.color = class_colors(set->attributes, classes());
-    }
+    if (options_.color == "class") points_.attributes.color = class_colors(points_.attributes, classes());
     for (const std::string& format : known_formats()) {
       if (!targets_.writes(format)) continue;
       const std::string path = targets_.file(format);
@@ -318,11 +289,6 @@ class HandOver {
         const Vec3d offset = offset_of_floats(box_around(points_.positions));
         write_pcd(path, points_, classes(), offset);
         add(path, "points", offset);
-      } else if (format == "splats.ply" || format == "splat") {
-        const Vec3d offset = offset_of_floats(box_around(splats_.points.positions));
-        if (format == "splat") write_splat(path, splats_, offset);
-        if (format != "splat") write_splat_ply(path, splats_, classes(), offset);
-        add(path, "splats", offset);
       } else if (format == "npz") {
         write_voxels(path, *map_, classes());
         add_map(path, "voxels");
@@ -377,7 +343,6 @@ class HandOver {
   Sidecar sidecar_;
   double metre_ = 1;  // usual_metre() of the scene
   PointSet points_;
-  Splats splats_;
   std::optional<VoxelMap> map_;
 };
 
@@ -615,8 +580,7 @@ int run(const MeshOptions& options, AppContext& context) {
 
 Verb verb_mesh() {
   return make_verb<MeshOptions>(
-      "mesh", 60, "write what the cameras saw with colour, class and object: a surface, points, splats, maps, a page",
-      run);
+      "mesh", 60, "write what the cameras saw with colour, class and object: a surface, points, maps, a page", run);
 }
 
 // objects: things of a run's scene told apart by segments of its images, as images, a table, points and figures.

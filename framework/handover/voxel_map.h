@@ -26,13 +26,6 @@ struct VoxelGridPlace {
     return {static_cast<double>(first[0]) * edge, static_cast<double>(first[1]) * edge,
             static_cast<double>(first[2]) * edge};
   }
-  /// Of the cube of an index.
-  Vec3d center(std::int64_t cell) const {
-    const std::array<std::int64_t, 3> at{cell % count[0], cell / count[0] % count[1], cell / (count[0] * count[1])};
-    Vec3d out;
-    for (std::size_t k = 0; k < 3; ++k) out[static_cast<int>(k)] = (static_cast<double>(first[k] + at[k]) + 0.5) * edge;
-    return out;
-  }
   /// The cube that holds a point, or nothing outside of the grid.
   std::optional<std::size_t> cell_of(Vec3d point) const;
   /// Covers a box. Throws Error(usage) for an edge that makes more than 4,095 cubes along an axis or 2^28 in all.

@@ -1,8 +1,7 @@
-"""What a run hands over to other programs, its splats next to its field, and the page of `semfield view`."""
+"""What a run hands over to other programs, and the page of `semfield view`."""
 import base64
 import json
 import math
-import pathlib
 import signal
 import subprocess
 import sys
@@ -13,17 +12,9 @@ from . import common
 sys.path[1:1] = [str(common.ROOT / "tests" / name) for name in ("handover", "page")]
 import browser  # noqa: E402
 import firefox  # noqa: E402
-import numpy as np  # noqa: E402
 import other_programs  # noqa: E402
 
-from .scenes import rotations  # noqa: E402
-
 NPM_PACKAGES = ("gltf-validator@2.0.0-dev.3.10", "copc@0.0.8")
-# A reference renderer of 3D Gaussians by NumPy.
-LOW_PASS = 0.3  # square pixels that every footprint is widened by [Kerbl23]
-LEAST_ALPHA = 1 / 255
-NEAR = 0.05
-HARMONIC = 0.28209479177387814
 EDGE, TOP = 1.24, (3.72, 2.5, 0.745)  # metres; a place on the table's top, off the lamp above the middle
 COLORS = """
     const canvas = document.getElementById("view"), small = document.createElement("canvas").getContext("2d");
@@ -102,91 +93,6 @@ needs chromium and chromium-driver."""
             inputs[-1].write_bytes(base64.b64decode(data.partition(",")[2]))
         joined = ["-filter_complex", f"hstack=inputs={len(inputs) // 2}"] if len(inputs) > 2 else []
         common.run("ffmpeg", "-v", "error", "-y", *inputs, *joined, out)
-
-
-def read_splats(path):
-    head, _, body = pathlib.Path(path).read_bytes().partition(b"end_header\n")
-    lines = head.decode().splitlines()
-    kinds = {"float": "<f4", "int": "<i4"}
-    fields = [line.split()[1:] for line in lines if line.startswith("property")]
-    rows = np.frombuffer(body, [(name, kinds[kind]) for kind, name in fields])
-    stack = lambda *names: np.stack([rows[name].astype(np.float64) for name in names], 1)
-    offset = next(line for line in lines if line.startswith("comment")).split()[-3:]
-    return {
-        "place": stack("x", "y", "z") + np.array(offset, float),
-        "color": np.clip(0.5 + HARMONIC * stack("f_dc_0", "f_dc_1", "f_dc_2"), 0, 1),
-        "opacity": 1 / (1 + np.exp(-rows["opacity"].astype(np.float64))),
-        "axes": (rotations(stack(*(f"rot_{k}" for k in range(4))))
-                 * np.exp(stack(*(f"scale_{k}" for k in range(3))))[:, None, :]),
-    }
-
-
-def footprints(splats, camera, pose):
-    """What lies before the camera, the nearest first: middle in pixels, inverse covariance, radius, opacity, colour."""
-    place = (splats["place"] - pose[:3, 3]) @ pose[:3, :3]
-    z = np.where(place[:, 2] > NEAR, place[:, 2], 1)
-    u, v = camera.fx * place[:, 0] / z + camera.cx, camera.fy * place[:, 1] / z + camera.cy
-    margin = 0.3 * max(camera.width, camera.height)
-    kept = np.flatnonzero((place[:, 2] > NEAR) & (u > -margin) & (v > -margin) & (u < camera.width + margin)
-                          & (v < camera.height + margin))
-    kept = kept[np.argsort(z[kept], kind="stable")]
-    x, y, z = place[kept].T
-    zero = np.zeros_like(z)
-    slope = np.stack([camera.fx / z, zero, -camera.fx * x / z**2, zero, camera.fy / z, -camera.fy * y / z**2], 1)
-    flat = slope.reshape(-1, 2, 3) @ (pose[:3, :3].T @ splats["axes"][kept])
-    cover = flat @ flat.transpose(0, 2, 1)
-    a, b, c = cover[:, 0, 0] + LOW_PASS, cover[:, 0, 1], cover[:, 1, 1] + LOW_PASS
-    det = a * c - b * b
-    largest = 0.5 * (a + c) + np.sqrt(np.maximum(0.25 * (a - c) ** 2 + b * b, 0))
-    radius = np.ceil(3 * np.sqrt(largest)).astype(int)
-    return u[kept], v[kept], (c / det, -b / det, a / det), radius, splats["opacity"][kept], splats["color"][kept]
-
-
-def draw(splats, camera, pose):
-    """[H, W, 3] by elliptical weighted averages [Zwicker01] from front to back; what is left of the light is black."""
-    u, v, inverse, radius, opacity, color = footprints(splats, camera, pose)
-    width, height = camera.width, camera.height
-    found = []  # pixel, rank from the front, alpha
-    for r in np.unique(radius):
-        of, steps = np.flatnonzero(radius == r), np.arange(-r, r + 1)
-        for some in np.array_split(of, max(1, len(of) * len(steps) ** 2 // 4_000_000)):
-            column = lambda values: values[some][:, None, None]
-            px, py = np.floor(column(u)).astype(int) + steps, np.floor(column(v)).astype(int) + steps[:, None]
-            dx, dy = px + 0.5 - column(u), py + 0.5 - column(v)
-            ia, ib, ic = map(column, inverse)
-            alpha = np.minimum(column(opacity) * np.exp(-0.5 * (ia * dx**2 + 2 * ib * dx * dy + ic * dy**2)), 0.99)
-            which = np.nonzero((alpha >= LEAST_ALPHA) & (px >= 0) & (px < width) & (py >= 0) & (py < height))
-            found.append(((py * width + px)[which].astype(np.int32), some[which[0]].astype(np.int32), alpha[which]))
-    pixel, rank, alpha = map(np.concatenate, zip(*found))
-    order = np.lexsort((rank, pixel))
-    pixel, rank, alpha = pixel[order], rank[order], alpha[order]
-    through = np.concatenate([[0.0], np.cumsum(np.log1p(-alpha))])[:-1]  # what lies before, of all pixels so far
-    first = np.flatnonzero(np.concatenate([[True], pixel[1:] != pixel[:-1]]))
-    start = np.repeat(through[first], np.diff(np.concatenate([first, [len(pixel)]])))
-    weight = alpha * np.exp(through - start)
-    planes = [np.bincount(pixel, weight * color[rank, k], width * height) for k in range(3)]
-    return np.stack(planes, 1).reshape(height, width, 3)
-
-
-def splats(run, splats: "of `semfield mesh RUN --format splats.ply`", every: "every n-th view" = 1, *,
-           build=common.BUILD):
-    """Draws the splats of a PLY [Kerbl23] at held-out views of the run that they came from, and scores them and the
-field: PSNR in dB. It fails where splats lose more than 2 dB."""
-    sys.path.insert(0, str(build / "python"))
-    import semfield
-
-    loaded, read = semfield.load(str(run)), read_splats(splats)
-    frames = [frame for frame in loaded.frames if frame.split == "test"][::every]
-    squared = {"field": [], "splats": []}
-    for frame in frames:
-        truth = loaded.pixels(frame.name).rgb / 255
-        drawn = draw(read, frame.camera, np.asarray(frame.pose))
-        for what, image in ("field", loaded.render(frame=frame.name).rgb), ("splats", drawn):
-            squared[what].append(np.mean((np.asarray(image, dtype=np.float64) - truth) ** 2))
-    psnr = {what: -10 * np.log10(np.mean(values)) for what, values in squared.items()}
-    lost = psnr["field"] - psnr["splats"]
-    common.check(lost <= 2, f"splats lose {lost:.2f} dB")
-    return {**psnr, "frames": len(frames), "splats_count": len(read["place"])}
 
 
 def hand_over(run, *, build=common.BUILD):

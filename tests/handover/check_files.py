@@ -1,7 +1,6 @@
 """check_files.py FOLDER PROGRAM: compares what a program reads in the files of FOLDER with FOLDER/expected.json; 77: no such program."""
 import ast
 import json
-import math
 import struct
 import sys
 import zipfile
@@ -77,29 +76,6 @@ def own_las():
     check(b"dining table" in data[:at], "names of classes")
 
 
-def own_splats():
-    lines, body = header_of(folder / "points.splats.ply", b"end_header\n")
-    names = [line.split()[2] for line in lines if line.startswith("property")]
-    check(names == ("x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 "
-                    "class_id instance_id").split(), "properties")
-    columns = dict(zip(names, rows_of("<17f2i", body)))
-    flat = list(struct.iter_unpack("<6f8B", (folder / "points.splat").read_bytes()))
-    for k in range(3):
-        near(columns["xyz"[k]], axis(k, True), 1e-4, "axis")
-        near([0.5 + c * 0.28209479177387814 for c in columns[f"f_dc_{k}"]], [c / 255 for c in color(k)], 1e-6, "colour")
-        near([row[6 + k] for row in flat], color(k), 0, "colour of .splat")
-        near([row[k] for row in flat], axis(k, True), 1e-4, "axis of .splat")
-        near([row[3 + k] for row in flat], [0.02] * len(flat), 1e-8, "deviation of .splat")
-        near(columns[f"scale_{k}"], [math.log(0.02)] * len(flat), 1e-6, "deviation")
-        near(columns["n" + "xyz"[k]], [0] * len(flat), 0, "no normal")
-        near(columns[f"rot_{k + 1}"], [0] * len(flat), 0, "no turn")
-    near(columns["rot_0"], [1] * len(flat), 0, "no turn")
-    near([1 / (1 + math.exp(-o)) for o in columns["opacity"]], want["opacity"], 1e-6, "opacity")
-    near([row[9] / 255 for row in flat], want["opacity"], 0.002, "opacity of .splat")
-    near(columns["class_id"], want["ids"], 0, "class_id")
-    near(columns["instance_id"], want["instances"], 0, "instance_id")
-
-
 def own_voxels():
     with zipfile.ZipFile(folder / "map.npz") as archive:
         arrays = {}
@@ -153,7 +129,6 @@ def own_octomap():
 def own():
     own_pcd()
     own_las()
-    own_splats()
     own_voxels()
     own_octomap()
 

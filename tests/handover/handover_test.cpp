@@ -26,7 +26,6 @@
 #include "testkit/analytic_scene.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
-#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -118,12 +117,7 @@ class HandOverFiles : public ::testing::Test {
     write_glb(*dir_ / "mesh.glb", strip(), classes(), {{0, 0, 1}, true, {{2, "chair 2"}}});
     write_pcd(*dir_ / "points.pcd", set, classes(), offset);
     write_las(*dir_ / "points.las", set, classes());
-    Splats splats{set, {}, 0.02};
-    for (std::size_t i = 0; i < set.positions.size(); ++i) splats.opacity.push_back(0.08F * static_cast<float>(i + 1));
-    want["opacity"] = splats.opacity;
     write_file_atomic(*dir_ / "expected.json", want.dump());
-    write_splat_ply(*dir_ / "points.splats.ply", splats, classes(), offset);
-    write_splat(*dir_ / "points.splat", splats, offset);
     write_voxels(*dir_ / "map.npz", map, classes());
     EXPECT_EQ(write_octomap(*dir_ / "map.bt", map, classes(), false), Vec3d{});
     write_octomap(*dir_ / "map.ot", map, classes(), true);
@@ -167,25 +161,6 @@ TEST_F(HandOverFiles, AGlbFarFromZeroIsMovedBackByItsRoot) {
   EXPECT_NEAR(back[0], 500'000, 1e-6);
   EXPECT_NEAR(back[1], 0, 1e-6);
   EXPECT_NEAR(back[2], -4'000'000, 1e-6);
-}
-
-TEST(Splats, TheirOpacityMakesTheMediumsOpticalDepth) {
-  // Light through many layers of a grid, at places between its points: the mean of the logarithm is the depth.
-  for (const double depth : {0.05, 0.5, 1.5}) {
-    const double a = splat_opacity(depth, kSplatWidth);
-    double sum = 0;
-    constexpr int kPlaces = 40;
-    for (int i = 0; i < kPlaces; ++i)
-      for (int j = 0; j < kPlaces; ++j)
-        for (int x = -4; x <= 4; ++x)
-          for (int y = -4; y <= 4; ++y) {
-            const double u = x + (i + 0.5) / kPlaces, v = y + (j + 0.5) / kPlaces;
-            sum -= std::log(1 - a * std::exp(-(u * u + v * v) / (2 * kSplatWidth * kSplatWidth)));
-          }
-    EXPECT_NEAR(sum / (kPlaces * kPlaces), depth, 0.005 * depth) << depth;
-  }
-  EXPECT_EQ(splat_opacity(0, kSplatWidth), 0);
-  EXPECT_EQ(splat_opacity(99, kSplatWidth), kMostOpacity);
 }
 
 TEST(Sidecar, TellsWorldClassesAndFiles) {
@@ -367,99 +342,6 @@ TEST(Costmap, WhatHasNoFloorIsNamed) {
   EXPECT_ERROR(costmap_of(map_of({{0, 0, 0}, {1, 1, 1}}), {0, 0, 1}, {}), "handover.costmap.empty");
 }
 
-// Splats drawn as viewers draw them, and colours that make up for it.
-
-constexpr std::array<double, 3> kBlack{0, 0, 0}, kGreen{0, 1, 0};
-
-// Looks along z from the origin; the middle of pixel (4, 4) is its axis.
-RayCamera camera(LensKind lens = LensKind::perspective) {
-  RayCamera out;
-  out.camera.width_px = out.camera.height_px = 9;
-  out.camera.fx = out.camera.fy = 10;
-  out.camera.cx = out.camera.cy = 4.5;
-  out.camera.lens = lens;
-  return out;
-}
-
-void add(Splats& splats, Vec3d place, float opacity, std::array<std::uint8_t, 3> color) {
-  splats.points.positions.push_back(place);
-  splats.opacity.push_back(opacity);
-  splats.points.attributes.color.push_back(color);
-}
-
-// A wall of squares in two colours, finer than pixels, seen by all of the camera.
-Splats wall() {
-  Splats out;
-  out.deviation = 0.05;
-  for (int y = -12; y <= 12; ++y)
-    for (int x = -12; x <= 12; ++x) {
-      const bool light = (x / 4 + y / 4 + 20) % 2 == 0;
-      const auto shade = static_cast<std::uint8_t>(light ? 200 : 60);
-      add(out, {0.1 * x, 0.1 * y, 2}, 0.9F, {shade, static_cast<std::uint8_t>(255 - shade), 90});
-    }
-  return out;
-}
-
-TEST(SplatColors, NearOnesCoverFarOnesAndWhatIsLeftIsBackground) {
-  Splats splats;
-  splats.deviation = 0.1;
-  add(splats, {0, 0, 4}, 0.8F, {0, 0, 255});
-  add(splats, {0, 0, 2}, 0.5F, {255, 0, 0});
-  add(splats, {0, 0, -2}, 0.9F, {255, 255, 255});  // behind the camera
-  const std::vector<float> rgb = draw_splats(splats, camera(), kGreen);
-  const std::size_t middle = 3 * (4 * 9 + 4);
-  EXPECT_NEAR(rgb[middle], 0.5, 1e-5);
-  EXPECT_NEAR(rgb[middle + 2], 0.5 * 0.8, 1e-5);
-  EXPECT_NEAR(rgb[middle + 1], 0.5 * 0.2, 1e-5);
-  EXPECT_NEAR(rgb[1], 1, 1e-5) << "no splat reaches the corner";
-}
-
-TEST(SplatColors, AFootprintIsTheDeviationOnTheImageAndPartOfAPixel) {
-  Splats splats;
-  splats.deviation = 0.2;
-  add(splats, {0, 0, 2}, 0.5F, {255, 255, 255});
-  const std::vector<float> rgb = draw_splats(splats, camera(), kBlack);
-  for (int away = 0; away <= 2; ++away)
-    EXPECT_NEAR(rgb[static_cast<std::size_t>(3 * (4 * 9 + 4 + away))], 0.5 * std::exp(-away * away / (2 * (1 + 0.3))),
-                1e-5)
-        << away;
-}
-
-TEST(SplatColors, AFitMakesPicturesOfTheViews) {
-  const SplatView view{camera(), to_bytes(draw_splats(wall(), camera(), kBlack))};
-  Splats grey = wall();
-  for (auto& color : grey.points.attributes.color) color = {128, 128, 128};
-  const auto error = [&](const Splats& splats) {
-    const std::vector<float> drawn = draw_splats(splats, view.camera, kBlack);
-    double sum = 0;
-    for (std::size_t i = 0; i < drawn.size(); ++i)
-      sum += std::pow(static_cast<double>(drawn[i]) - view.rgb[i] / 255.0, 2);
-    return sum;
-  };
-  const auto fitted = [&] {
-    Splats out = grey;
-    fit_colors(out, {&view, 1}, kBlack);
-    return out;
-  };
-  const Splats alone = on_threads(1, fitted);
-  EXPECT_LT(error(alone), 0.1 * error(grey));
-  EXPECT_EQ(on_threads(3, fitted).points.attributes.color, alone.points.attributes.color);
-}
-
-TEST(SplatColors, WhatNoViewShowsKeepsItsColor) {
-  Splats splats = wall();
-  const auto before = splats.points.attributes.color;
-  const SplatView wide{camera(LensKind::fisheye), std::vector<std::uint8_t>(3 * 81, 0)};
-  fit_colors(splats, {&wide, 1}, kBlack);
-  EXPECT_EQ(splats.points.attributes.color, before);
-  EXPECT_TRUE(draw_splats(splats, wide.camera, kBlack).empty());
-  splats.points.positions[0] = {0, 0, -5};
-  SplatView dark{camera(), std::vector<std::uint8_t>(3 * 81, 0)};
-  fit_colors(splats, {&dark, 1}, kBlack);
-  EXPECT_EQ(splats.points.attributes.color[0], before[0]);
-  EXPECT_NE(splats.points.attributes.color[300], before[300]);
-}
-
 // One scene in several units: what is found in it, and what files hold of it, is the same but for the unit.
 
 constexpr double kUnits[] = {1e-4, 1e6};
@@ -605,7 +487,7 @@ std::vector<Vec3d> in_las(const std::string& file) {
 template <class T>
 std::vector<Vec3d> in_rows(const std::string& file, const std::string& end, std::size_t bytes, Vec3d offset) {
   std::vector<Vec3d> out;
-  for (std::size_t row = end.empty() ? 0 : file.find(end) + end.size(); row + bytes <= file.size(); row += bytes)
+  for (std::size_t row = file.find(end) + end.size(); row + bytes <= file.size(); row += bytes)
     out.push_back(offset + Vec3d{static_cast<double>(number_at<T>(file, row)),
                                  static_cast<double>(number_at<T>(file, row + sizeof(T))),
                                  static_cast<double>(number_at<T>(file, row + 2 * sizeof(T)))});
@@ -632,11 +514,6 @@ TEST(Units, FilesGiveThePointsBack) {
       expect_same(in_rows<float>(read_text_file(dir / "a.pcd"), "DATA binary\n", 16, offset), unit, places, off);
       write_ply(dir / "a.ply", points, {});
       expect_same(in_rows<double>(read_text_file(dir / "a.ply"), "end_header\n", 27, {}), unit, places, off);
-      Splats splats{points, std::vector<float>(points.positions.size(), 0.5F), 0.02 * unit};
-      write_splat_ply(dir / "a.splats.ply", splats, {}, offset);
-      expect_same(in_rows<float>(read_text_file(dir / "a.splats.ply"), "end_header\n", 68, offset), unit, places, off);
-      write_splat(dir / "a.splat", splats, offset);
-      expect_same(in_rows<float>(read_text_file(dir / "a.splat"), "", 32, offset), unit, places, off);
     }
 }
 
@@ -701,20 +578,6 @@ TEST(Units, MapsOfRobotsAndThinnedPoints) {
     EXPECT_EQ(std::get<2>(found), std::get<2>(meant)) << unit;
     EXPECT_EQ(std::get<3>(found), std::get<3>(meant)) << unit;
     EXPECT_EQ(std::get<4>(found), std::get<4>(meant)) << unit;
-  }
-}
-
-TEST(Units, SplatsLookTheSame) {
-  const auto drawn = [](const Room& room) {
-    Splats splats{room.points(), {}, 0.05 * room.unit};
-    splats.opacity.assign(splats.points.positions.size(), 0.6F);
-    return draw_splats(splats, room.views[0].camera, {0.2, 0.4, 0.6});
-  };
-  const std::vector<float> meant = drawn(metres());
-  for (const double unit : kUnits) {
-    const std::vector<float> found = drawn(Room(unit));
-    ASSERT_EQ(found.size(), meant.size());
-    for (std::size_t i = 0; i < found.size(); ++i) ASSERT_NEAR(found[i], meant[i], 0.01) << unit << " " << i;
   }
 }
 

@@ -189,17 +189,16 @@ class Mesh(VerbCase):
 
     def test_files_for_other_programs(self):
         stem = self.dir / "other/room"
-        r = self.ok(["mesh", self.run_dir, "--resolution", 32, "--format", "las,splats.ply,bt,pgm", "--band",
+        r = self.ok(["mesh", self.run_dir, "--resolution", 32, "--format", "las,bt,pgm", "--band",
                      "0.1,0.8", "--out",
                      stem, "--json"])
         said = json.loads(r.out)
         self.assertNotIn("faces", said)  # no surface is made for points
-        self.assertEqual(said["files"], [f"{stem}{ending}" for ending in (".las", ".splats.ply", ".bt", ".pgm",
-                                                                          ".yaml")])
+        self.assertEqual(said["files"], [f"{stem}{ending}" for ending in (".las", ".bt", ".pgm", ".yaml")])
         self.has(r.err, "the floor is at ", " along +z")
         self.assertEqual(len(json.loads(pathlib.Path(f"{stem}.json").read_text())["files"]), len(said["files"]))
         # The ending alone says so, and a page alone has no sidecar.
-        one = self.dir / "one.splats.ply"
+        one = self.dir / "one.pcd"
         self.assertEqual(self.ok(["mesh", self.run_dir, "--resolution", 24, "--out", one]).out, f"mesh: file={one}\n")
         self.mesh("--resolution", 24, "--out", self.dir / "alone.html")
         self.assertFalse((self.dir / "alone.json").exists())
