@@ -405,48 +405,6 @@ void rotation_between(CaseRun& run) {
   }
 }
 
-void bad_pose(CaseRun& run) {
-  run.row("float64");
-  const std::string root = run.folder();
-  testing_room::write_replica(root, 4, 8, 6);
-  const auto load = [&](Diagnostics& diagnostics) {
-    const auto data = dataset_of(run, "replica", {{"root", root}, {"train_step", "1"}, {"test_step", "0"}});
-    return load_scene(*data, {}, diagnostics);
-  };
-  std::string lines;
-  const auto bad = [](const char* word) {
-    std::string line;
-    for (int i = 0; i < 16; ++i) line += std::string(i < 12 ? word : i == 15 ? "1" : "0") + (i == 15 ? "\n" : " ");
-    return line;
-  };
-  lines = testing_room::pose_line(testing_room::room_pose(0)) + bad("-inf") +
-          testing_room::pose_line(testing_room::room_pose(2)) + bad("nan");
-  testing_room::plain_write(root + "/traj_w_c.txt", lines);
-  Diagnostics diagnostics;
-  const LoadedScene scene = load(diagnostics);
-  run.expect(!diagnostics.has_errors(), "the scene is loaded without them");
-  run.expect(told(diagnostics, Severity::warning, "2 of 4 frames skipped: their poses are not finite (1, 3)"),
-             "both are named");
-  run.expect(scene.frames.size() == 2, "two frames stay");
-  for (std::size_t i = 0; i < scene.info.frames.size(); ++i) {
-    const Pose truth = testing_room::room_pose(2 * static_cast<int>(i));
-    run.expect(scene.info.frames[i].name == "rgb_" + std::to_string(2 * i), "frames keep their numbers");
-    run.measure(length(scene.info.frames[i].world_from_camera.t - truth.t), 1e-12, "camera centre");
-  }
-  run.expect(std::isfinite(scene.far_m) && std::isfinite(scene.bounds.lo.x) && std::isfinite(scene.bounds.hi.z),
-             "bounds and distances are finite");
-  testing_room::plain_write(root + "/traj_w_c.txt", bad("-inf") + bad("nan") + bad("inf") + bad("nan"));
-  Diagnostics none;
-  (void)load(none);
-  run.expect(told(none, Severity::error, "all 4 poses are not finite"), "a scene of bad poses alone is an error");
-  for (const double value : {std::nan(""), std::numeric_limits<double>::infinity()}) {
-    Pose pose;
-    pose.t.y = value;
-    Diagnostics quiet;
-    run.expect(check_pose(pose, "x", quiet) == PoseState::not_finite, "one bad coordinate of the centre is enough");
-  }
-}
-
 void intrinsics(CaseRun& run) {
   run.row("float64");
   Camera good{.width_px = 64, .height_px = 48, .fx = 60, .fy = 60, .cx = 32, .cy = 24};
@@ -588,54 +546,6 @@ void slivers(CaseRun& run) {
   for (const Vec3d& n : with_normals.normals) run.measure(std::abs(length(n) - 1), 1e-12, "normals are unit vectors");
   run.note(std::to_string(flat) + " of " + std::to_string(surface.triangles.size()) +
            " triangles of an octahedron through grid points have no area");
-}
-
-void bad_meshes(CaseRun& run) {
-  run.row("-");
-  if (!raycast_available()) return run.absent("this build reads no meshes");
-  run.note("OBJ is what is read; a PLY is written, never read");
-  const std::string path = run.folder() + "/bad.obj";
-  const std::string three = kThree;
-  const struct {
-    std::string text;
-    std::vector<std::string> words;
-  } kBad[] = {
-      {three + "o chair\nf 1 2 4\n", {":5: ", "object 'chair'", "vertex 4 of 3"}},
-      {three + "f 1 2 -4\n", {":4: ", "vertex -4 of 3"}},
-      {three + "f 0 1 2\n", {":4: ", "indices start at 1"}},
-      {three + "f 1 2 2147483647\n", {":4: ", "vertex 2147483647 of 3"}},
-      {three + "f 1 2 -2147483648\n", {":4: ", "vertex -2147483648 of 3"}},
-      {three + "f 1 2 4294967297\n", {":4: ", "is not an index"}},
-      {three + "vt 0 0\nf 1/1 2/2 3/1\n", {":5: ", "texture coordinate 2 of 1"}},
-      {three + "vn 0 0 1\nf 1//1 2//1 3//-2\n", {":5: ", "normal -2 of 1"}},
-      {"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", {":2: ", "'nan' is not a finite number"}},
-      {"v 0 -inf 0\n", {":1: ", "'-inf' is not a finite number"}},
-      {"v 1e39 0 0\n", {":1: ", "'1e39' is not a finite number"}},
-      {three + "f 1 2\n", {":4: ", "face has 2 corners"}},
-      {three, {"holds no triangle"}},
-      {"", {"holds no triangle"}},
-      {"ply\nformat ascii 1.0\nelement vertex 4294967295\nproperty list int int x\nend_header\n",
-       {"holds no triangle"}},
-  };
-  for (const auto& bad : kBad) {
-    testing_room::plain_write(path, bad.text);
-    std::vector<std::string> words = bad.words;
-    words.push_back(path);
-    Diagnostics diagnostics;
-    run.expect_error(ErrorKind::data, words, [&] { (void)load_obj(path, diagnostics); });
-  }
-  // A field that gives NaN has no surface.
-  for (const double value : {std::nan(""), std::numeric_limits<double>::quiet_NaN()}) {
-    run.expect_error(ErrorKind::data, {"not a number"}, [&] {
-      (void)marching_cubes({{0, 0, 0}, 1, 3, 3, 3}, 0.5, [&](std::int64_t z, std::span<double> values) {
-        std::fill(values.begin(), values.end(), 0.0);
-        if (z == 1) values[4] = value;
-      });
-    });
-  }
-  run.expect_error(ErrorKind::usage, {}, [] { (void)VoxelGrid::covering({}, 0.1); });
-  run.expect_error(ErrorKind::usage, {}, [] { (void)VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, 0); });
-  run.expect_error(ErrorKind::usage, {}, [] { (void)VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, 1e-9); });
 }
 
 }  // namespace semfield::numerics

@@ -1,23 +1,15 @@
 // G01 to G05: images, and frames made of them.
 
-#include <dlfcn.h>
-#include <elf.h>
-#include <signal.h>
-#include <sys/resource.h>
-
 #include <algorithm>
 #include <cstring>
 #include <numeric>
-#include <stdexcept>
 
 #include "config/config_tree.h"
-#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "loading/frame_source.h"
 #include "named_case.h"
-#include "plugin/loader.h"
 #include "rooms.h"
 #include "run/run_folder.h"
 #include "session/trainer.h"
@@ -135,36 +127,6 @@ void odd_images(CaseRun& run) {
   run.note(std::to_string(cuts) + " lengths of one file, all refused");
 }
 
-void frame_files_at_odds(CaseRun& run) {
-  run.row("-");
-  const std::string root = run.folder();
-  testing_room::write_replica(root, 4, 8, 6);
-  std::filesystem::remove(root + "/rgb/rgb_0.png");
-  std::filesystem::remove(root + "/depth/depth_1.png");
-  write_png_gray8(root + "/semantic_class/semantic_class_2.png", 4, 3, std::vector<std::uint8_t>(12, 1));
-  write_png_gray16(root + "/depth/depth_3.png", 6, 8, std::vector<std::uint16_t>(48, 1000));
-  Diagnostics found;
-  const auto data = dataset_of(run, "replica", {{"root", root}, {"train_step", "1"}, {"test_step", "0"}});
-  (void)load_scene(*data, {}, found);
-  run.expect(found.error_count() == 4, "every problem of every frame in one pass");
-  for (const char* words :
-       {"'rgb_0'", "rgb/rgb_0.png' is missing", "depth/depth_1.png' is missing",
-        "semantic_class_2.png' is 4 x 3 pixels, the camera 8 x 6", "depth_3.png' is 6 x 8 pixels, the camera 8 x 6"})
-    run.expect(told(found, Severity::error, words), words);
-  // The same frame twice, in either kind of index.
-  testing_room::write_replica(root, 2, 8, 6);
-  std::filesystem::copy_file(root + "/semantic_class/semantic_class_1.png", root + "/semantic_class/0001.png");
-  Diagnostics twice;
-  (void)dataset_of(run, "replica", {{"root", root}, {"train_step", "1"}, {"test_step", "0"}})->open(twice);
-  run.expect(told(twice, Severity::error, "are labels of the same frame"), "two label images of one frame");
-  write_png_rgb(root + "/a.png", 4, 4, std::vector<std::uint8_t>(48));
-  const std::string frame = "{\"file_path\": \"a.png\", " + std::string(kEye) + "}";
-  plain_write(root + "/transforms.json", "{\"fl_x\": 4, \"frames\": [" + frame + ", " + frame + "]}");
-  Diagnostics listed;
-  (void)dataset_of(run, "transforms_json", {{"root", root}})->open(listed);
-  run.expect(told(listed, Severity::error, "frame 1 (a.png): image is listed twice"), "an image listed twice");
-}
-
 void float_depth(CaseRun& run) {
   run.row("fp32");
   if (!images_available()) return run.absent("this build reads PNG alone");
@@ -247,100 +209,7 @@ void special_depth(CaseRun& run) {
   }
 }
 
-// G06 to G08: configurations.
-
-namespace {
-
-std::string times(const std::string& part, int count) {
-  std::string out;
-  out.reserve(part.size() * static_cast<std::size_t>(count));
-  for (int i = 0; i < count; ++i) out += part;
-  return out;
-}
-
-// Refused with a place, within 100 ms and 64 MiB of this thread.
-void refused_quickly(CaseRun& run, const std::string& yaml, const std::vector<std::string>& words) {
-  const ResourceUse use;
-  std::vector<std::string> all = words;
-  all.emplace_back("deep.yaml:");
-  run.expect_error(ErrorKind::config, all, [&] { (void)parse_config_text(yaml, "deep.yaml"); });
-  run.measure(use.seconds(), 0.1, "seconds");
-  run.measure(use.grown_mib() / 640, 0.1, "memory, 64 MiB being 0.1");
-}
-
-}  // namespace
-
-void deep_yaml(CaseRun& run) {
-  run.row("-");
-  run.note("error: CPU seconds of the slowest; memory stays below 64 MiB");
-  const int n = 100'000;
-  refused_quickly(run, times("[", n), {"nested deeper than 64 levels"});
-  refused_quickly(run, times("[", n) + times("]", n), {"nested deeper than 64 levels"});
-  refused_quickly(run, times("[[:", n / 3), {"nested deeper than 64 levels"});
-  refused_quickly(run, times("{foo: ", n), {"nested deeper than 64 levels"});
-  refused_quickly(run, times("- ", n) + "x", {});
-  refused_quickly(run, times("? ", n) + "x", {});
-  refused_quickly(run, times("a: [", n), {});
-  refused_quickly(run, "a: \"" + times("x", n), {"not closed"});
-  refused_quickly(run, "a: '" + times("''", n), {"not closed"});
-  std::string stairs;
-  for (int i = 0; i < 1000; ++i) stairs += std::string(static_cast<std::size_t>(i), ' ') + "k:\n";
-  refused_quickly(run, stairs, {});
-  refused_quickly(run, times("k: v\n", 300'000), {});  // over 1 MiB
-  std::string sixty;
-  for (int i = 0; i < 60; ++i) sixty += "[";
-  (void)parse_config_text(sixty + std::string(60, ']'), "deep.yaml");
-  run.expect(true, "60 levels are read");
-}
-
-void alias_bombs(CaseRun& run) {
-  run.row("-");
-  run.note("error: CPU seconds of the slowest");
-  std::string bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n";
-  for (int i = 1; i < 9; ++i) {
-    const std::string last = "*a" + std::to_string(i - 1), name = "a" + std::to_string(i);
-    bomb += name + ": &" + name + " [" + times(last + ", ", 8) + last + "]\n";
-  }
-  refused_quickly(run, bomb, {"deep.yaml:1:5", "anchors are not allowed"});
-  refused_quickly(run, "a: &x [*x]\n", {"deep.yaml:1:4", "anchors are not allowed"});
-  refused_quickly(run, "a: *x\n", {"deep.yaml:1:4", "aliases are not allowed"});
-  refused_quickly(run, "a: &x {b: *x}\nc: *x\n", {"anchors are not allowed"});
-  refused_quickly(run, "<<: {a: 1}\n", {"merge keys are not allowed"});
-  refused_quickly(run, "a: !!python/object/apply:os.system [x]\n", {"tags are not allowed"});
-}
-
-void yaml_mistakes(CaseRun& run) {
-  run.row("-");
-  Registry registry = with_room(run.registry());
-  const std::string good = std::string("scene: {type: box_room}\n") + kHashPass;
-  const auto findings = [&](const std::string& yaml) {
-    Diagnostics found;
-    (void)read_run_config(parse_config_text(yaml, "room.yaml"), registry, found);
-    std::string text;
-    for (const Diagnostic& one : found.all()) text += one.text() + "\n";
-    return text;
-  };
-  run.expect(findings(good).empty(), "the control is read without a finding");
-  const auto refused = [&](const std::string& line, const std::vector<std::string>& words) {
-    const std::string text = findings(good + line + "\n");
-    run.expect(text.find("room.yaml:10:") != std::string::npos, line + " is told with its line: " + text);
-    for (const std::string& word : words) run.expect(text.find(word) != std::string::npos, word + " in: " + text);
-  };
-  run.expect(std::count(good.begin(), good.end(), '\n') == 9, "added lines are line 10");
-  refused("sematics: {weight: 1}", {"room.yaml:10:1", "unknown section 'sematics'", "did you mean 'semantics'?"});
-  refused("report: {log_every: 3}", {"room.yaml:10:10", "unknown key 'log_every'"});
-  for (const std::string value : {"1e400", ".nan", "010", "0x10", "1_000", "-1", "99999999999999999999", "1.0"})
-    refused("runtime: {seed: " + value + "}", {"10:17", value});
-  for (const std::string value : {"no", "True", "1"})
-    refused("runtime: {fold_feature_layer: " + value + "}", {"10:31", value});
-  for (const char* value :
-       {"1e400", "-1e400", ".nan", ".inf", "-.inf", "nan", "inf", "1;5", "0x1p3", "\"1\"", "[1]", "~"})
-    refused("report: {eval_every_s: " + std::string(value) + "}", {"10:24"});
-  run.expect_error(ErrorKind::config, {"room.yaml:10:1", "duplicate key 'train'", "room.yaml:9:1"},
-                   [&] { (void)parse_config_text(good + "train: {rays: 3}\n", "room.yaml"); });
-}
-
-// G09 to G11 and G18: checkpoints that lie, and disks that are full.
+// G09 to G11: checkpoints that lie.
 
 namespace {
 
@@ -379,26 +248,6 @@ void save(CheckpointStore& store, std::int64_t step, std::size_t values = 2000) 
   const std::vector<float> data(values, static_cast<float>(step));
   store.save(step, {tensor_ref("w", {static_cast<std::int64_t>(values)}, data)}, {});
 }
-
-// Lowers one limit of the process while it lives.
-class LowLimit : NonCopyable {
- public:
-  LowLimit(int what, rlim_t value) : what_(what) {
-    ::getrlimit(static_cast<__rlimit_resource>(what_), &before_);
-    const rlimit low{std::min(value, before_.rlim_max), before_.rlim_max};
-    ::setrlimit(static_cast<__rlimit_resource>(what_), &low);
-    handler_ = ::signal(SIGXFSZ, SIG_IGN);  // a write beyond the limit then fails instead of ending the process
-  }
-  ~LowLimit() {
-    ::setrlimit(static_cast<__rlimit_resource>(what_), &before_);
-    ::signal(SIGXFSZ, handler_);
-  }
-
- private:
-  int what_;
-  rlimit before_{};
-  sighandler_t handler_ = SIG_DFL;
-};
 
 }  // namespace
 
@@ -520,169 +369,6 @@ void checkpoint_shapes(CaseRun& run) {
   }
   run.expect_error(ErrorKind::data, {"no checksum"},
                    [&] { (void)TensorFile::decode(with_header("{}", 0), "bare", {}); });
-}
-
-void full_disk(CaseRun& run) {
-  run.row("-");
-  run.note("limits of the process stand for the disk: no room from byte n on, no handle from the n-th on");
-  const std::string folder = run.folder() + "/c";
-  CheckpointStore store(folder);
-  save(store, 100);
-  const std::size_t size = std::filesystem::file_size(folder + "/" + CheckpointStore::file_name(100));
-  int failed = 0;
-  const auto old_is_intact = [&] {
-    Diagnostics found;
-    const auto latest = store.find_latest(found);
-    run.expect(latest && latest->step == 100 && latest->file.floats("w", 2000)[1] == 100.0F && found.all().empty(),
-               "step 100 is intact and newest");
-    run.expect(read_text_file(folder + "/latest") == CheckpointStore::file_name(100) + "\n", "'latest' names it");
-    for (const auto& entry : std::filesystem::directory_iterator(folder))
-      run.expect(entry.path().extension() != ".tmp", "no temporary file stays");
-  };
-  for (const std::size_t room : {std::size_t{0}, std::size_t{1}, std::size_t{4096}, size / 2, size - 1}) {
-    {
-      const LowLimit limit(RLIMIT_FSIZE, room);
-      run.expect_error(ErrorKind::io, {"the checkpoint of step 100 is kept"}, [&] { save(store, 200); });
-    }
-    ++failed;
-    old_is_intact();
-  }
-  // The lowest free handle, then 0, 1, 2 ... handles more than there are open ones.
-  const int free_handle = [] {
-    std::FILE* file = std::fopen("/dev/null", "r");
-    const int number = file == nullptr ? 16 : ::fileno(file);
-    if (file != nullptr) std::fclose(file);
-    return number;
-  }();
-  bool saved = false;
-  for (int more = 0; more < 4 && !saved; ++more) {
-    bool threw = false;
-    {
-      const LowLimit limit(RLIMIT_NOFILE, static_cast<rlim_t>(free_handle + more));
-      try {
-        save(store, 200);
-        saved = true;
-      } catch (const Error& error) {
-        threw = true;
-        run.expect(error.kind() == ErrorKind::io, std::string("kind of: ") + error.what());
-        run.expect(std::string_view(error.what()).find("Too many open files") != std::string_view::npos,
-                   std::string("the cause is named: ") + error.what());
-      }
-    }
-    if (threw) ++failed;
-    if (threw) old_is_intact();
-  }
-  run.expect(saved, "with enough handles it saves");
-  Diagnostics found;
-  run.expect(store.find_latest(found)->step == 200, "and the new one is then newest");
-  // A folder in the place of the file: root meets that too.
-  std::filesystem::create_directories(folder + "/" + CheckpointStore::file_name(300) + "/x");
-  run.expect_error(ErrorKind::io, {"the checkpoint of step 200 is kept"}, [&] { save(store, 300); });
-  run.expect(store.find_latest(found)->step == 200, "step 200 is intact");
-  run.note(std::to_string(failed + 1) + " failed saves");
-}
-
-// G12: modules that a host must refuse, and live on.
-
-namespace {
-
-struct NoParams {};
-void describe(ParamVisitor&, NoParams&) {}
-void validate(const NoParams&, Diagnostics&) {}
-class Nothing final : public Dataset {
- public:
-  Nothing(const NoParams&, const DatasetBuild&) {}
-  SceneInfo open(Diagnostics&) override { return {}; }
-  void read(int, FrameBuffer&) const override {}
-};
-
-void register_one(Registry& registry) { registry.add_dataset<Nothing, NoParams>("of_a_module", "A dataset."); }
-void register_then_throw(Registry& registry) {
-  register_one(registry);
-  throw std::runtime_error("half way through");
-}
-void register_then_throw_a_number(Registry& registry) {
-  register_one(registry);
-  throw 7;  // NOLINT: what a module of someone else may do
-}
-void register_a_taken_name(Registry& registry) {
-  registry.add_dataset<Nothing, NoParams>("before_the_taken", "Must not stay.");
-  registry.add_dataset<Nothing, NoParams>("packed", "A name that is taken.");
-}
-
-// The file that holds this code: a shared library without a plugin in it.
-std::string this_library() {
-  Dl_info info{};
-  return dladdr(reinterpret_cast<const void*>(&register_one), &info) != 0 && info.dli_fname != nullptr ? info.dli_fname
-                                                                                                       : "";
-}
-
-}  // namespace
-
-void broken_plugins(CaseRun& run) {
-  run.row("-");
-  Registry registry = run.registry();
-  const std::size_t entries = registry.entries().size();
-  const auto unchanged = [&] { run.expect(registry.entries().size() == entries, "the registry is as it was"); };
-  const PluginModule sound{kPluginApi, abi_tag_of_framework(), "m", "1.0", register_one};
-  const auto refused = [&](const auto& change, const std::vector<std::string>& words) {
-    PluginModule module = sound;
-    change(module);
-    run.expect_error(ErrorKind::unavailable, words, [&] { register_module(registry, module); });
-    unchanged();
-  };
-  const std::string ours = std::to_string(kPluginApi);
-  for (const int api : {kPluginApi + 1, kPluginApi - 1, 0, -1, 999})
-    refused([&](PluginModule& m) { m.api = api; }, {"API " + std::to_string(api) + ",", "speaks " + ours});
-  refused([](PluginModule& m) { m.abi_tag = "libother-1"; }, {"'libother-1'", abi_tag_of_framework()});
-  refused([](PluginModule& m) { m.abi_tag = nullptr; }, {"ABI ''", abi_tag_of_framework()});
-  refused([](PluginModule& m) { m.name = nullptr; }, {"lacks its name"});
-  refused([](PluginModule& m) { m.version = nullptr; }, {"lacks its name, version"});
-  refused([](PluginModule& m) { m.register_into = nullptr; }, {"register function"});
-  refused([](PluginModule& m) { m.register_into = register_then_throw; }, {"'m 1.0'", "half way through"});
-  refused([](PluginModule& m) { m.register_into = register_then_throw_a_number; }, {"'m 1.0'", "an unknown exception"});
-  if (run.registry().find(PluginKind::dataset, "packed") != nullptr) {
-    refused([](PluginModule& m) { m.register_into = register_a_taken_name; }, {"'packed'", "m 1.0", "taken"});
-    run.expect(registry.find(PluginKind::dataset, "before_the_taken") == nullptr, "nothing of it stays");
-  }
-
-  // Files. The library of this suite is whole and sound, and no plugin.
-  const std::string path = run.folder() + "/module.so", library = this_library();
-  const auto file_refused = [&](const std::string& file, const std::vector<std::string>& words) {
-    std::vector<std::string> all = words;
-    all.push_back("'" + file + "'");
-    run.expect_error(ErrorKind::unavailable, all, [&] { load_module(registry, file); });
-    unchanged();
-  };
-  file_refused(run.folder() + "/none.so", {"there is no such file"});
-  file_refused(run.folder(), {"there is no such file"});
-  file_refused(library, {"has no section '.semfield_plugin'"});
-  testing_room::plain_write(path, "");
-  file_refused(path, {});
-  testing_room::plain_write(path, "plain text that is no library");
-  file_refused(path, {});
-  const std::string whole = read_text_file(library);
-  std::string start = whole.substr(0, 4096);
-  const auto with_machine = [&](unsigned machine) {
-    std::string file = start;
-    file[offsetof(Elf64_Ehdr, e_machine)] = static_cast<char>(machine);
-    file[offsetof(Elf64_Ehdr, e_machine) + 1] = 0;
-    testing_room::plain_write(path, file);
-  };
-  with_machine(183);  // AArch64
-  file_refused(path, {"another CPU", "183"});
-  std::string narrow = start;
-  narrow[EI_CLASS] = ELFCLASS32;
-  testing_room::plain_write(path, narrow);
-  file_refused(path, {"another CPU"});
-  // A copy that was interrupted: mapped beyond its end it would end the process.
-  for (const std::size_t size :
-       {std::size_t{20}, std::size_t{64}, std::size_t{500}, std::size_t{4096}, whole.size() / 2}) {
-    testing_room::plain_write(path, whole.substr(0, size));
-    file_refused(path, size >= 4096 ? std::vector<std::string>{"cut short"} : std::vector<std::string>{});
-  }
-  register_module(registry, sound);
-  run.expect(registry.find(PluginKind::dataset, "of_a_module") != nullptr, "a sound module is still taken afterwards");
 }
 
 }  // namespace semfield::numerics

@@ -229,15 +229,29 @@ std::string refusal_of(Registry& registry, const PluginModule& module) {
   return error_of(ErrorKind::unavailable, [&] { register_module(registry, module); });
 }
 
-TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
+TEST(Loader, ARefusedModuleLeavesTheRegistryUnchanged) {
+  const struct {
+    void (*spoil)(PluginModule&);
+    const char* said;
+  } cases[] = {
+      {[](PluginModule& m) { m.register_into = register_two_then_throw; }, "the second half is missing"},
+      {[](PluginModule& m) { m.register_into = [](Registry&) { throw 7; }; }, "an unknown exception"},
+      {[](PluginModule& m) { m.register_into = toy::register_into; }, "taken"},
+      {[](PluginModule& m) { m.register_into = nullptr; }, "register function"},
+      {[](PluginModule& m) { m.name = nullptr; }, "lacks its name"},
+      {[](PluginModule& m) { m.version = nullptr; }, "lacks its name, version"},
+      {[](PluginModule& m) { m.abi_tag = nullptr; }, "ABI ''"},
+  };
   Registry registry;
   register_module(registry, sound_module());
-  PluginModule module = sound_module();
-  module.name = "half";
-  module.register_into = register_two_then_throw;
-  EXPECT_EQ(refusal_of(registry, module), "while registering module 'half 1.0': the second half is missing");
-  EXPECT_EQ(registry.names(PluginKind::encoder), std::vector<std::string>{"toy"});
-  EXPECT_EQ(registry.kernels().devices_of("encoder 'half'"), "");
+  for (const auto& [spoil, said] : cases) {
+    PluginModule module = sound_module();
+    module.name = "half";
+    spoil(module);
+    EXPECT_HAS(refusal_of(registry, module), said);
+    EXPECT_EQ(registry.names(PluginKind::encoder), std::vector<std::string>{"toy"});
+    EXPECT_EQ(registry.kernels().devices_of("encoder 'half'"), "");
+  }
 }
 
 // The public wrappers refuse wrong shapes with a sentence, and never call an implementation with nothing to do.
