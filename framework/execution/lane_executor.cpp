@@ -30,15 +30,6 @@ bool any_density(const PassTrace<Real>& trace) {
   return std::any_of(sigma, sigma + trace.samples.count, [](Real density) { return density > 0; });
 }
 
-// A message carries this many pieces of gradients, so that a rank adds its lanes to one while the next rank has those
-// before it.
-constexpr std::int64_t kPiecesTogether = 64;
-
-template <class T>
-std::span<std::byte> bytes_of(std::vector<T>& values, std::size_t count) {
-  return std::as_writable_bytes(std::span(values.data(), count));
-}
-
 template <class Real>
 std::string element_text(const Tensor<Real>& t, std::int64_t element) {
   return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
@@ -448,93 +439,6 @@ std::size_t LaneExecutor<Real>::workspace_bytes() const {
   return sum;
 }
 
-template <class Real>
-LaneRanks<Real>::LaneRanks(Ranks& ranks, int lanes) : ranks_(&ranks), lanes_(lanes) {}
-
-// Rank r begins with the lane before which there are as near to r / size of all tiles as can be.
-template <class Real>
-void LaneRanks<Real>::share_out(std::int64_t tiles) {
-  const std::int64_t each = tiles / lanes_, more = tiles % lanes_;
-  first_.assign(static_cast<std::size_t>(ranks_->size()) + 1, lanes_);
-  int lane = 0;
-  for (int rank = 0; rank < ranks_->size(); ++rank) {
-    const auto off = [&](std::int64_t l) {  // tiles too many or too few, times the number of ranks
-      return std::abs((l * each + std::min(l, more)) * ranks_->size() - tiles * rank);
-    };
-    while (lane < lanes_ && off(lane + 1) < off(lane)) ++lane;
-    first_[static_cast<std::size_t>(rank)] = lane;
-  }
-}
-
-template <class Real>
-void LaneRanks<Real>::gather_losses(std::vector<StepLosses>& tiles) {
-  static_assert(std::is_trivially_copyable_v<StepLosses>);
-  const auto count = std::ssize(tiles);
-  // Of a rank its lanes in order, of a lane its tiles.
-  const auto each_of = [&](int rank, const auto& body) {
-    for (int lane = first_of(rank); lane < first_of(rank + 1); ++lane) {
-      for (std::int64_t tile = lane; tile < count; tile += lanes_) body(tiles[static_cast<std::size_t>(tile)]);
-    }
-  };
-  std::vector<StepLosses> own, all;
-  each_of(ranks_->rank(), [&](const StepLosses& losses) { own.push_back(losses); });
-  join_values<StepLosses>(*ranks_, own, all);
-  std::size_t next = 0;
-  for (int r = 0; r < ranks_->size(); ++r) each_of(r, [&](StepLosses& losses) { losses = all[next++]; });
-}
-
-template <class Real>
-EncodedRows<Real> LaneRanks<Real>::gather_rows(const EncodedRows<Real>& own) {
-  const auto values = [](const auto& view) { return std::span(view.data, static_cast<std::size_t>(view.size())); };
-  join_values<double>(*ranks_, values(own.x), x_);
-  join_values<Real>(*ranks_, values(own.d_encoded), d_encoded_);
-  const std::int64_t total = std::ssize(x_) / 3;
-  return {{x_.data(), total, 3}, {d_encoded_.data(), total, own.d_encoded.cols}};
-}
-
-template <class Real>
-void LaneRanks<Real>::share_rows(View<Real> column, const std::function<void(std::int64_t, std::int64_t)>& compute) {
-  const auto [begin, end] = part_of(column.rows, ranks_->rank(), ranks_->size());
-  agree(*ranks_, [&, first = begin, last = end] { compute(first, last); });
-  std::vector<Real> own, all;
-  for (std::int64_t r = begin; r < end; ++r) own.push_back(*column.row(r));
-  join_values<Real>(*ranks_, own, all);
-  for (std::int64_t r = 0; r < column.rows; ++r) *column.row(r) = all[static_cast<std::size_t>(r)];
-}
-
-template <class Real>
-void LaneRanks<Real>::sum_lanes(ParamStore<Real>& store) {
-  const std::int64_t pieces = store.lane_pieces();
-  const int rank = ranks_->rank(), last = ranks_->size() - 1;
-  // Between the gradients, which lie apart, and a message; `copy` gets the gradient's elements and their place there.
-  const auto each = [&](std::int64_t begin, std::int64_t count, const auto& copy) {
-    std::size_t at = 0;
-    for (std::int64_t piece = begin; piece < begin + count; ++piece) {
-      const View<Real> part = store.lane_piece(piece);
-      const auto size = static_cast<std::size_t>(part.cols);
-      if (sums_.size() < at + size) sums_.resize(at + size);
-      copy(part.data, sums_.data() + at, size);
-      at += size;
-    }
-    return at;
-  };
-  const auto size = [](Real*, Real*, std::size_t) {};
-  const auto pack = [](Real* grad, Real* place, std::size_t n) { std::copy_n(grad, n, place); };
-  const auto unpack = [](Real* grad, Real* place, std::size_t n) { std::copy_n(place, n, grad); };
-  for (std::int64_t begin = 0; begin < pieces; begin += kPiecesTogether) {
-    const std::int64_t count = std::min(kPiecesTogether, pieces - begin);
-    if (rank > 0) {
-      ranks_->receive(rank - 1, bytes_of(sums_, each(begin, count, size)));
-      each(begin, count, unpack);
-    }
-    store.reduce_lanes(begin, count, first(), end());
-    if (rank < last) ranks_->send(rank + 1, bytes_of(sums_, each(begin, count, pack)));
-  }
-  const std::size_t all = each(0, pieces, pack);
-  ranks_->broadcast(bytes_of(sums_, all), last);
-  if (rank < last) each(0, pieces, unpack);
-}
-
 // Which ray or tensor is behind a step that failed.
 
 template <class Real>
@@ -854,7 +758,6 @@ void LanePoints<Real>::write() {
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                      \
-  template class LaneRanks<Real>;                                                       \
   template class LaneExecutor<Real>;                                                    \
   template void query_points<Real>(Pipeline<Real>&, const PointQuery<Real>&);           \
   template std::vector<Tensor<Real>*> semantic_tensors<Real>(ParamStore<Real> & store); \

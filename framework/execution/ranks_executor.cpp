@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdlib>
 #include <set>
 #include <type_traits>
 
@@ -22,18 +23,6 @@ std::span<std::byte> memory_of(const View<T>& view) {
   return std::as_writable_bytes(std::span(data, static_cast<std::size_t>(view.size())));
 }
 
-// A question for densities, as a job.
-struct Positions {
-  View<const double> origin;
-  View<float> sigma;
-  Positions rows(std::int64_t begin, std::int64_t count) const {
-    return {origin.row_range(begin, count), sigma.row_range(begin, count)};
-  }
-};
-
-void run(Executor<float>& executor, const RenderJob<float>& job) { executor.render(job); }
-void run(Executor<float>& executor, const Positions& job) { executor.density(job.origin, job.sigma); }
-
 // visit(array) for those that a job is given, and for those that it fills.
 template <class Visit>
 void each_input(RenderJob<float>& job, const Visit& visit) {
@@ -44,16 +33,75 @@ void each_output(RenderJob<float>& job, const Visit& visit) {
   visit(job.color), visit(job.depth), visit(job.opacity), visit(job.entropy), visit(job.confidence);
   visit(job.truth_probability), visit(job.probability), visit(job.label), visit(job.resolution);
 }
-template <class Visit>
-void each_input(Positions& job, const Visit& visit) {
-  visit(job.origin);
-}
-template <class Visit>
-void each_output(Positions& job, const Visit& visit) {
-  visit(job.sigma);
-}
 
 }  // namespace
+
+template <class Real>
+LaneRanks<Real>::LaneRanks(Ranks& ranks, int lanes) : ranks_(&ranks), lanes_(lanes) {}
+
+// Rank r begins with the lane before which there are as near to r / size of all tiles as can be.
+template <class Real>
+void LaneRanks<Real>::share_out(std::int64_t tiles) {
+  const std::int64_t each = tiles / lanes_, more = tiles % lanes_;
+  first_.assign(static_cast<std::size_t>(ranks_->size()) + 1, lanes_);
+  int lane = 0;
+  for (int rank = 0; rank < ranks_->size(); ++rank) {
+    const auto off = [&](std::int64_t l) {  // tiles too many or too few, times the number of ranks
+      return std::abs((l * each + std::min(l, more)) * ranks_->size() - tiles * rank);
+    };
+    while (lane < lanes_ && off(lane + 1) < off(lane)) ++lane;
+    first_[static_cast<std::size_t>(rank)] = lane;
+  }
+}
+
+template <class Real>
+void LaneRanks<Real>::gather_losses(std::vector<StepLosses>& tiles) {
+  static_assert(std::is_trivially_copyable_v<StepLosses>);
+  const auto count = std::ssize(tiles);
+  // Of a rank its lanes in order, of a lane its tiles.
+  const auto each_of = [&](int rank, const auto& body) {
+    for (int lane = first_of(rank); lane < first_of(rank + 1); ++lane) {
+      for (std::int64_t tile = lane; tile < count; tile += lanes_) body(tiles[static_cast<std::size_t>(tile)]);
+    }
+  };
+  std::vector<StepLosses> own, all;
+  each_of(ranks_->rank(), [&](const StepLosses& losses) { own.push_back(losses); });
+  join_values<StepLosses>(*ranks_, own, all);
+  std::size_t next = 0;
+  for (int r = 0; r < ranks_->size(); ++r) each_of(r, [&](StepLosses& losses) { losses = all[next++]; });
+}
+
+template <class Real>
+EncodedRows<Real> LaneRanks<Real>::gather_rows(const EncodedRows<Real>& own) {
+  const auto values = [](const auto& view) { return std::span(view.data, static_cast<std::size_t>(view.size())); };
+  join_values<double>(*ranks_, values(own.x), x_);
+  join_values<Real>(*ranks_, values(own.d_encoded), d_encoded_);
+  const std::int64_t total = std::ssize(x_) / 3;
+  return {{x_.data(), total, 3}, {d_encoded_.data(), total, own.d_encoded.cols}};
+}
+
+template <class Real>
+void LaneRanks<Real>::share_rows(View<Real> column, const std::function<void(std::int64_t, std::int64_t)>& compute) {
+  const auto [begin, end] = part_of(column.rows, ranks_->rank(), ranks_->size());
+  agree(*ranks_, [&, first = begin, last = end] { compute(first, last); });
+  std::vector<Real> own, all;
+  for (std::int64_t r = begin; r < end; ++r) own.push_back(*column.row(r));
+  join_values<Real>(*ranks_, own, all);
+  for (std::int64_t r = 0; r < column.rows; ++r) *column.row(r) = all[static_cast<std::size_t>(r)];
+}
+
+template <class Real>
+void LaneRanks<Real>::sum_lanes(ParamStore<Real>& store) {
+  const int rank = ranks_->rank(), last = ranks_->size() - 1;
+  const auto each = [&](const auto& exchange) {
+    for (const Tensor<Real>& t : store.all())
+      if (t.lanes.size() > 0) exchange(std::as_writable_bytes(std::span(t.grad.data(), t.grad.size())));
+  };
+  if (rank > 0) each([&](std::span<std::byte> sums) { ranks_->receive(rank - 1, sums); });
+  store.reduce_lanes(first(), end());
+  if (rank < last) each([&](std::span<std::byte> sums) { ranks_->send(rank + 1, sums); });
+  each([&](std::span<std::byte> sums) { ranks_->broadcast(sums, last); });
+}
 
 RanksExecutor::RanksExecutor(Ranks& ranks, Pipeline<float>& pipeline, std::unique_ptr<Executor<float>> device)
     : ranks_(ranks), pipeline_(pipeline), device_(std::move(device)), inner_(device_ ? *device_ : pipeline.lanes()) {
@@ -106,10 +154,8 @@ void RanksExecutor::serve() {
           (void)inner_.finish();
           break;
         case Task::render:
-          share(order, RenderJob<float>{});
-          break;
         case Task::density:
-          share(order, Positions{});
+          share(order, {});
           break;
       }
     } catch (const RankLost&) {
@@ -203,11 +249,13 @@ void RanksExecutor::render(const RenderJob<float>& job) {
 }
 
 void RanksExecutor::density(View<const double> positions, View<float> sigma) {
-  lead_job({.task = Task::density}, Positions{positions, sigma});
+  RenderJob<float> job;
+  job.origin = positions;
+  job.opacity = sigma;
+  lead_job({.task = Task::density}, job);
 }
 
-template <class Job>
-void RanksExecutor::lead_job(Order order, Job job) {
+void RanksExecutor::lead_job(Order order, RenderJob<float> job) {
   order.rows = job.origin.rows;
   if (order.rows == 0) return;
   std::size_t next = 0;
@@ -219,10 +267,9 @@ void RanksExecutor::lead_job(Order order, Job job) {
 }
 
 // Rank 0's rays reach all, each answers for its part of them, and rank 0 gets the answers. `job` is rank 0's; that of
-// the others gets memory here.
-template <class Job>
-void RanksExecutor::share(const Order& order, Job job) {
-  if constexpr (requires { job.footprint_per_m; }) job.footprint_per_m = order.footprint_per_m;
+// the others gets memory here. Where densities are asked for, its origins are the positions, and they are its opacity.
+void RanksExecutor::share(const Order& order, RenderJob<float> job) {
+  job.footprint_per_m = order.footprint_per_m;
   std::vector<std::vector<std::byte>> memory;
   std::size_t next = 0;
   const auto make_room = [&]<class T>(View<T>& view) {
@@ -237,9 +284,11 @@ void RanksExecutor::share(const Order& order, Job job) {
     if (!view.empty()) ranks_.broadcast(memory_of(view));
   });
   const auto [first, last] = part_of(order.rows, ranks_.rank(), ranks_.size());
-  const Job own = job.rows(first, last - first);
+  const RenderJob<float> own = job.rows(first, last - first);
   agree(ranks_, [&] {
-    if (own.origin.rows > 0) run(inner_, own);
+    if (own.origin.rows == 0) return;
+    if (order.task == Task::density) return inner_.density(own.origin, own.opacity);
+    inner_.render(own);
   });
   each_output(job, [&](const auto& view) {
     if (view.empty()) return;
@@ -251,5 +300,8 @@ void RanksExecutor::share(const Order& order, Job job) {
     for (int r = 1; r < ranks_.size(); ++r) ranks_.receive(r, bytes(r));
   });
 }
+
+template class LaneRanks<float>;
+template class LaneRanks<double>;
 
 }  // namespace semfield

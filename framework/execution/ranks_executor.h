@@ -1,9 +1,11 @@
-// Steps and rendering by all processes of a run: rank 0 says what is done, and everyone does it.
+// What the processes of a run share: the lanes of a step on the CPU, and steps and rendering by all, where rank 0 says
+// what is done and everyone does it.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -12,6 +14,48 @@
 #include "execution/ranks/ranks.h"
 
 namespace semfield {
+
+/// Rows of an encoder that learns, and the gradient at its outputs.
+template <class Real>
+struct EncodedRows {
+  View<const double> x;        ///< [M, 3]
+  View<const Real> d_encoded;  ///< [M, D]
+};
+
+/// Rank r has a range of lanes, and those of rank r + 1 follow them. Where some lanes have a tile more than others, the
+/// ranges are as long as it takes for ranks to have equally many tiles. Every call is made by all ranks.
+template <class Real>
+class LaneRanks {
+ public:
+  LaneRanks(Ranks& ranks, int lanes);
+
+  Ranks& all() const { return *ranks_; }
+  /// Lanes of this process.
+  int first() const { return first_of(ranks_->rank()); }
+  int end() const { return first_of(ranks_->rank() + 1); }
+
+  /// Before a step of so many tiles.
+  void share_out(std::int64_t tiles);
+  /// In: the losses of the tiles of own lanes. Out: of all.
+  void gather_losses(std::vector<StepLosses>& tiles);
+  /// Rows of all lanes in lane order, from those of own lanes; valid until the next call.
+  EncodedRows<Real> gather_rows(const EncodedRows<Real>& own);
+  /// Calls compute(begin, end) for this rank's part of the rows of `column` [N, 1], and brings those of the others.
+  void share_rows(View<Real> column, const std::function<void(std::int64_t begin, std::int64_t end)>& compute);
+  /// ParamStore::reduce_lanes over the lanes of all: the sum goes from rank to rank, each of which adds its lanes to
+  /// it, and the last one's goes to all. A process sends and receives each gradient twice at most, however many there
+  /// are.
+  void sum_lanes(ParamStore<Real>& store);
+
+ private:
+  int first_of(int rank) const { return first_.empty() ? 0 : first_[static_cast<std::size_t>(rank)]; }
+
+  Ranks* ranks_;
+  int lanes_;
+  std::vector<int> first_;  // [ranks + 1] lanes; none before a step
+  std::vector<double> x_;
+  std::vector<Real> d_encoded_;
+};
 
 /// Rank 0's program uses it as any other executor; the other ranks call serve(), which does what rank 0 is asked for.
 /// A step is made by the inner executors of all ranks, each of which takes its share of the whole batch and ends with
@@ -64,10 +108,8 @@ class RanksExecutor final : public Executor<float> {
   void share_tensors();
   void compare_tensors();
   void serve_step(const Order& order);
-  template <class Job>
-  void lead_job(Order order, Job job);
-  template <class Job>
-  void share(const Order& order, Job job);
+  void lead_job(Order order, RenderJob<float> job);
+  void share(const Order& order, RenderJob<float> job);
 
   Ranks& ranks_;
   Pipeline<float>& pipeline_;

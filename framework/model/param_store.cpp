@@ -90,9 +90,9 @@ int ParamStore<Real>::add(const std::string& prefix, const Parametric<Real>& par
 }
 
 template <class Real>
-void ParamStore<Real>::reduce_lanes(std::int64_t first_piece, std::int64_t count, int first, int end) {
-  parallel_for(count, [&, this](std::int64_t index) {
-    const LaneSum& task = lane_sums_[static_cast<std::size_t>(first_piece + index)];
+void ParamStore<Real>::reduce_lanes(int first, int end) {
+  parallel_for(std::ssize(lane_sums_), [&, this](std::int64_t index) {
+    const LaneSum& task = lane_sums_[static_cast<std::size_t>(index)];
     Real* const sum = task.grad;
     for (int lane = first; lane < end; ++lane) {
       Real* const part = task.lanes + static_cast<std::int64_t>(lane) * task.size;

@@ -149,15 +149,9 @@ class ParamStore final : public TensorStore<Real> {
   AdamTable<Real> learned() const { return {learned_.data(), static_cast<int>(learned_.size()), learned_count()}; }
 
   /// grad += sum over lanes, in lane order; lanes are zero afterwards.
-  void reduce_lanes() { reduce_lanes(0, lane_pieces(), 0, lanes_); }
-  /// The same for lanes [first, end) and for pieces [begin, begin + count) of the gradients that have lanes.
-  void reduce_lanes(std::int64_t begin, std::int64_t count, int first, int end);
-  /// Gradients that have lanes, cut into pieces; of each one its elements, in order.
-  std::int64_t lane_pieces() const { return std::ssize(lane_sums_); }
-  View<Real> lane_piece(std::int64_t piece) const {
-    const LaneSum& sum = lane_sums_[static_cast<std::size_t>(piece)];
-    return {sum.grad + sum.begin, 1, static_cast<std::int32_t>(sum.end - sum.begin)};
-  }
+  void reduce_lanes() { reduce_lanes(0, lanes_); }
+  /// The same for lanes [first, end).
+  void reduce_lanes(int first, int end);
   /// Zeroes gradients of every tensor but sparse ones, which the optimiser clears row by row as it visits them.
   void zero_gradients() {
     for (Tensor<Real>& t : tensors_) {
