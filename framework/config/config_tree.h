@@ -28,6 +28,13 @@ class ConfigNode {
   static ConfigNode make_scalar(std::string text, bool quoted, Location where);
   static ConfigNode make_list(std::vector<ConfigNode> items, Location where);
   static ConfigNode make_map(std::vector<Entry> entries, Location where);
+  /// What to_node(item) makes of each of `items`.
+  template <class Items, class ToNode>
+  static ConfigNode list_of(const Items& items, const ToNode& to_node) {
+    std::vector<ConfigNode> nodes;
+    for (const auto& item : items) nodes.push_back(to_node(item));
+    return make_list(std::move(nodes), {});
+  }
   ConfigNode() = default;
 
   bool is_map() const { return kind_ == Kind::map; }
@@ -53,6 +60,11 @@ class ConfigNode {
   ConfigNode* find(std::string_view key) { return const_cast<ConfigNode*>(std::as_const(*this).find(key)); }
   /// The node at a path of keys, "train.schedule", or nullptr.
   const ConfigNode* find_path(std::string_view path) const;
+  /// The same; nullptr also where nothing is written there.
+  const ConfigNode* given(std::string_view path) const {
+    const ConfigNode* found = find_path(path);
+    return found != nullptr && !found->is_null() ? found : nullptr;
+  }
   /// Adds `key` at the end, or replaces it in place. A node that was no map becomes one.
   void set(const std::string& key, ConfigNode value);
   /// The same at a path of keys; maps that are missing are made.

@@ -193,6 +193,16 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
   refuse_unknown_keys(node, prefix + "unknown key", known, diagnostics);
 }
 
+void read_items(const ConfigNode& tree, const std::string& path, const std::string& of, const std::string& remedy,
+                Diagnostics& diagnostics,
+                const std::function<void(const ConfigNode& item, const std::string& path)>& read) {
+  const ConfigNode* list = tree.given(path);
+  if (list == nullptr) return;
+  if (!list->is_list())
+    return diagnostics.error("config.value.type", list->location().text(), path + ": expected a list of " + of, remedy);
+  for (std::size_t i = 0; i < list->items().size(); ++i) read(list->items()[i], path + "." + std::to_string(i));
+}
+
 void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const std::vector<std::string>& known,
                          Diagnostics& diagnostics) {
   for (const auto& [key, value] : map.entries()) {

@@ -88,6 +88,17 @@ namespace semfield {
 
 /// Anything with parameters: calls describe(visitor, params) of some struct.
 using Describe = std::function<void(ParamVisitor&)>;
+/// That of a struct, or of an object with a member describe(); `params` must outlive it.
+template <class Params>
+Describe described(Params& params) {
+  return [&params](ParamVisitor& visit) {
+    if constexpr (requires { params.describe(visit); }) {
+      params.describe(visit);
+    } else {
+      describe(visit, params);
+    }
+  };
+}
 
 /// Reads the keys of `node` into the parameters. Unknown keys are errors with "did you mean" unless listed in
 /// `other_keys`; wrong types, ranges and choices are errors with place, path, expected and found, e.g.
@@ -95,6 +106,12 @@ using Describe = std::function<void(ParamVisitor&)>;
 /// missing key keeps its default.
 void read_params(const ConfigNode& node, const std::string& path, const Describe& describe, Diagnostics& diagnostics,
                  const std::vector<std::string>& other_keys = {});
+
+/// read(item, its path) for the items of the list at `path`. Nothing may be written there; else it is a list, or an
+/// error that says of what.
+void read_items(const ConfigNode& tree, const std::string& path, const std::string& of, const std::string& remedy,
+                Diagnostics& diagnostics,
+                const std::function<void(const ConfigNode& item, const std::string& path)>& read);
 
 /// An error with "did you mean" for each key of `map` that is not known: "<what> 'KEY'".
 void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const std::vector<std::string>& known,

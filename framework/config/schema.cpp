@@ -14,42 +14,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// The map at one key path: what stands in it, and the maps below.
-struct SchemaNode {
-  std::string key;
-  bool is_list = false;      // the maps are the items of a list
-  bool may_be_list = false;  // or the map stands alone
-  std::string sentence;
-  const std::vector<ParamDoc>* docs = nullptr;
-  const std::vector<SchemaSection>* alternatives = nullptr;
-  std::vector<SchemaNode> children;
-};
-
-SchemaNode& node_at(SchemaNode& root, const std::string& path) {
-  SchemaNode* node = &root;
-  for (std::size_t begin = 0; begin < path.size();) {
-    const std::size_t end = std::min(path.find('.', begin), path.size());
-    std::string key = path.substr(begin, end - begin);
-    const bool is_list = key.ends_with("[]");
-    if (is_list) key.resize(key.size() - 2);
-    SEMFIELD_CHECK(!key.empty(), "empty key in schema path '" + path + "'");
-    SchemaNode* child = nullptr;
-    for (SchemaNode& known : node->children) {
-      if (known.key == key) child = &known;
-    }
-    if (child == nullptr) {
-      node->children.push_back({});
-      child = &node->children.back();
-      child->key = key;
-      child->is_list = is_list;
-    }
-    SEMFIELD_CHECK(child->is_list == is_list, "schema path '" + path + "' is a list here and a map elsewhere");
-    node = child;
-    begin = end + 1;
-  }
-  return *node;
-}
-
 // A value of the tree as JSON; the declared type says whether a word is a text.
 Json value_json(const ConfigNode& node, std::string_view type) {
   if (node.is_list()) {
@@ -109,10 +73,10 @@ Json closed_map(Json properties) {
   return map;
 }
 
-Json choice_schema(const SchemaNode& node, const Json& shared) {
+Json choice_schema(const std::vector<SchemaSection>& choices, const Json& shared) {
   Json alternatives = Json::array();
   Json any_key = shared;
-  for (const SchemaSection& alternative : *node.alternatives) {
+  for (const SchemaSection& alternative : choices) {
     Json properties{{"type", {{"const", alternative.path}}}};
     add_params(properties, alternative.params);
     properties.update(shared);
@@ -131,41 +95,47 @@ Json choice_schema(const SchemaNode& node, const Json& shared) {
   return {{"oneOf", std::move(alternatives)}};
 }
 
-Json node_schema(const SchemaNode& node) {
-  Json properties = Json::object();
-  if (node.docs != nullptr) add_params(properties, *node.docs);
-  for (const SchemaNode& child : node.children) properties[child.key] = node_schema(child);
-  Json map;
-  if (node.alternatives != nullptr) {
-    map = choice_schema(node, properties);
-  } else {
-    map = closed_map(std::move(properties));
-    if (!node.is_list) map["type"] = Json::array({"object", "null"});  // a section with every line commented out
+// The map at `path`: what sections of this path say of it, and the maps below.
+Json map_schema(const std::vector<SchemaSection>& sections, const std::string& path) {
+  Json below = Json::object();
+  const SchemaSection *docs = nullptr, *choice = nullptr;
+  std::string sentence;
+  bool may_be_list = false;
+  const std::string prefix = path.empty() ? "" : path + ".";
+  for (const SchemaSection& section : sections) {
+    if (section.path == path) {
+      const SchemaSection*& place = section.alternatives.empty() ? docs : choice;
+      SEMFIELD_CHECK(place == nullptr, "schema path '" + path + "' is described twice");
+      place = &section;
+      may_be_list = may_be_list || section.or_list;
+      if (!section.sentence.empty()) sentence = section.sentence;
+    } else if (section.path.starts_with(prefix)) {
+      const std::string child = section.path.substr(0, section.path.find('.', prefix.size()));
+      const bool is_list = child.ends_with("[]");
+      const std::string key = child.substr(prefix.size(), child.size() - prefix.size() - (is_list ? 2 : 0));
+      SEMFIELD_CHECK(!key.empty(), "empty key in schema path '" + section.path + "'");
+      if (!below.contains(key)) below[key] = map_schema(sections, child);
+      SEMFIELD_CHECK((below[key].value("type", Json()) == "array") == is_list,
+                     "schema path '" + section.path + "' is a list here and a map elsewhere");
+    }
   }
-  if (node.is_list) map = Json{{"type", "array"}, {"items", std::move(map)}};
-  if (node.may_be_list) map = Json{{"oneOf", Json::array({map, Json{{"type", "array"}, {"items", map}}})}};
-  if (!node.sentence.empty()) map["description"] = node.sentence;
+  Json properties = Json::object();
+  if (docs != nullptr) add_params(properties, docs->params);
+  properties.update(below);
+  Json map = choice != nullptr ? choice_schema(choice->alternatives, properties) : closed_map(std::move(properties));
+  if (choice == nullptr && !path.ends_with("[]"))
+    map["type"] = Json::array({"object", "null"});  // a section with every line commented out
+  if (path.ends_with("[]")) map = Json{{"type", "array"}, {"items", std::move(map)}};
+  if (may_be_list) map = Json{{"oneOf", Json::array({map, Json{{"type", "array"}, {"items", map}}})}};
+  if (!sentence.empty()) map["description"] = sentence;
   return map;
 }
 
 }  // namespace
 
 std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections) {
-  SchemaNode root;
-  for (const SchemaSection& section : sections) {
-    SchemaNode& node = node_at(root, section.path);
-    const bool known = section.alternatives.empty() ? node.docs != nullptr : node.alternatives != nullptr;
-    SEMFIELD_CHECK(!known, "schema path '" + section.path + "' is described twice");
-    if (section.alternatives.empty()) {
-      node.docs = &section.params;
-    } else {
-      node.alternatives = &section.alternatives;
-    }
-    node.may_be_list = node.may_be_list || section.or_list;
-    if (!section.sentence.empty()) node.sentence = section.sentence;
-  }
   Json schema{{"$schema", "http://json-schema.org/draft-07/schema#"}, {"title", title}};
-  schema.update(node_schema(root));
+  schema.update(map_schema(sections, ""));
   const Json file{{"type", "string"}};
   schema["properties"]["include"] = {
       {"description", "config files to start from, relative to this one; later ones win"},

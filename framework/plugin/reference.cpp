@@ -14,7 +14,7 @@ namespace {
 
 std::vector<ParamDoc> params_of(const PluginEntry& entry) {
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  return describe_params([&params](ParamVisitor& visit) { params->describe(visit); });
+  return describe_params(described(*params));
 }
 
 std::vector<const PluginEntry*> entries_of(const Registry& registry, PluginKind kind) {

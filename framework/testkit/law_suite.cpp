@@ -30,7 +30,7 @@ std::string text_of(const Settings& settings) {
 std::vector<std::string> parameters_of(const PluginEntry& entry) {
   std::vector<std::string> names;
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  for (const ParamDoc& doc : describe_params([&](ParamVisitor& visit) { params->describe(visit); }))
+  for (const ParamDoc& doc : describe_params(described(*params)))
     names.push_back(doc.name);
   return names;
 }

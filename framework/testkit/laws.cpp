@@ -16,10 +16,6 @@ namespace semfield::testkit {
 
 namespace {
 
-Describe describer(PluginParams& params) {
-  return [&params](ParamVisitor& visit) { params.describe(visit); };
-}
-
 // A value as it would stand in a configuration.
 ConfigNode node_of(const std::string& value, bool is_list) {
   const auto scalar = [](std::string text) { return ConfigNode::make_scalar(std::move(text), false, {}); };
@@ -58,7 +54,7 @@ std::vector<SettingsLine> read_settings_lines(const std::string& path) {
 }
 
 Failures apply_settings(PluginParams& params, const Settings& settings) {
-  const Describe describe = describer(params);
+  const Describe describe = described(params);
   std::vector<ConfigNode::Entry> entries;
   for (const auto& [name, value] : settings) {
     bool is_list = false;
@@ -198,7 +194,7 @@ void check_refusal(const PluginEntry& entry, const std::string& name, const std:
   const std::unique_ptr<PluginParams> params = entry.new_params();
   const ConfigNode node = parse_config_text(name + ": " + value + "\n", "test.yaml");
   Diagnostics diagnostics;
-  read_params(node, entry.name, describer(*params), diagnostics);
+  read_params(node, entry.name, described(*params), diagnostics);
   Failures refusals;
   for (const Diagnostic& finding : diagnostics.all()) refusals.push_back(finding.text());
   if (!diagnostics.has_errors() || !names_parameter(refusals, name)) {
@@ -209,12 +205,12 @@ void check_refusal(const PluginEntry& entry, const std::string& name, const std:
 // Defaults written as YAML, parsed and read into fresh parameters are the same YAML again.
 void check_config_round_trip(const PluginEntry& entry, Failures& failures) {
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  const std::string written = write_config(params_to_config(describer(*params)));
+  const std::string written = write_config(params_to_config(described(*params)));
   const std::unique_ptr<PluginParams> again = entry.new_params();
   Diagnostics diagnostics;
-  read_params(parse_config_text(written, "test.yaml"), entry.name, describer(*again), diagnostics);
+  read_params(parse_config_text(written, "test.yaml"), entry.name, described(*again), diagnostics);
   for (const Diagnostic& finding : diagnostics.all()) note_failure(failures, "config round trip", finding.text());
-  if (write_config(params_to_config(describer(*again))) != written)
+  if (write_config(params_to_config(described(*again))) != written)
     failures.push_back("config round trip: parameters change");
 }
 

@@ -1,0 +1,204 @@
+// The sections `train`, `train.cameras`, `train.self_training`, `runtime` and `report`: each key is a member, with its
+// default, and a line of describe().
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "core/half.h"
+#include "core/view.h"
+
+namespace semfield {
+
+/// automatic: the labels decide when a session opens (session/settings/choices.h).
+enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced, automatic };
+SEMFIELD_CHOICES(RaySourceKind, "all_images", "one_image", "label_balanced", "auto");
+
+struct TrainParams {
+  std::int64_t steps = 20000;
+  double time_s = 0;
+  std::int64_t rays = 1024;
+  RaySourceKind ray_source = RaySourceKind::all_images;
+  double labelled_share = 0.5;
+  bool label_rays_teach_color = true;
+};
+
+inline void describe(ParamVisitor& visit, TrainParams& p) {
+  SEMFIELD_PARAM(
+      visit, p, steps,
+      "optimiser steps of the run; 0: as many as fit into time_s, or without it 3000 on a CPU and 20000 on a "
+      "GPU, and run.yaml has the number",
+      {0, 1e9});
+  SEMFIELD_PARAM(visit, p, time_s,
+                 "seconds of training that steps and schedule are settled for where steps is 0; 0: none", {0, 1e8});
+  SEMFIELD_PARAM(visit, p, rays, "rays per step; 0: 1024 on a CPU and 8192 on a GPU, and run.yaml has the number",
+                 {0, 1 << 20});
+  SEMFIELD_PARAM(
+      visit, p, ray_source,
+      "where a step's rays come from: pixels of all images or of one, drawn evenly; label_balanced draws "
+      "labelled_share of them from labelled pixels; auto is label_balanced where training pixels have labels or "
+      "may get them, else all_images, and run.yaml has the choice");
+  SEMFIELD_PARAM(visit, p, labelled_share, "share of rays from labelled pixels, for label_balanced", {0, 1});
+  SEMFIELD_PARAM(
+      visit, p, label_rays_teach_color,
+      "false: rays that label_balanced draws for their labels do not enter the colour loss, which then "
+      "comes from evenly drawn rays alone. A few labelled pixels that are drawn again and again spoil geometry");
+}
+
+inline void validate(const TrainParams& p, Diagnostics& diagnostics) {
+  const bool balanced = p.ray_source == RaySourceKind::label_balanced || p.ray_source == RaySourceKind::automatic;
+  if (!balanced || p.label_rays_teach_color || p.labelled_share < 1) return;
+  diagnostics.error("config.value.conflict", "train.labelled_share",
+                    "1 draws every ray for its label, and label_rays_teach_color is false: nothing would teach colour",
+                    "lower labelled_share, or set train.label_rays_teach_color: true");
+}
+
+/// What is believed of training cameras: as given, or learned with the field (model/camera_corrections.h). `automatic`
+/// is decided by the scene (choices.h).
+enum class CameraTrust : std::uint8_t { given, learned, automatic };
+SEMFIELD_CHOICES(CameraTrust, "given", "learned", "auto");
+struct CameraParams {
+  CameraTrust poses = CameraTrust::given, colors = CameraTrust::given;
+  double pose_rate = 0.02;
+  double color_rate = 0.02;
+  double from_step = 0.1;
+};
+
+inline void describe(ParamVisitor& visit, CameraParams& p) {
+  SEMFIELD_PARAM(
+      visit, p, poses,
+      "poses of training cameras: as given, or learned with the field where they are off by more than a pixel; "
+      "right ones suffer from it. auto is learned where a phone's tracker gave them, and run.yaml has the choice");
+  SEMFIELD_PARAM(visit, p, colors,
+                 "colours of training cameras: as given, or learned, an affine map per camera, where exposure or white "
+                 "balance changes between photographs; auto looks whether brightness of overlapping frames does");
+  SEMFIELD_PARAM(
+      visit, p, pose_rate,
+      "factor to the learning rate of poses, in radians and shifts in halves of the scene's longest side; it "
+      "falls with the third power of the schedule",
+      {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, from_step,
+      "share of the run after which poses and colours move: before it the field is fog, which moves right ones",
+      {0, 1});
+  SEMFIELD_PARAM(visit, p, color_rate, "factor to the learning rate of colours; it falls with the third power too",
+                 {0, 1e6});
+}
+
+/// Rounds of self-training (session/self_training.h).
+struct SelfTrainingParams {
+  std::vector<double> at;
+  double confidence = 0.9;
+  double min_opacity = 0.5;
+};
+
+inline void describe(ParamVisitor& visit, SelfTrainingParams& p) {
+  SEMFIELD_PARAM(visit, p, at,
+                 "shares of train.steps, ascending, at which the field labels the training pixels that it is sure of; "
+                 "empty: never",
+                 {1e-6, 0.999999});
+  SEMFIELD_PARAM(visit, p, confidence, "least probability of a pixel's most probable class that becomes its label",
+                 {0, 1});
+  SEMFIELD_PARAM(visit, p, min_opacity, "opacity of a rendered pixel below which it gets no label", {0, 1});
+}
+
+inline void validate(const SelfTrainingParams& p, Diagnostics& diagnostics) {
+  if (std::is_sorted(p.at.begin(), p.at.end(), std::less_equal<>())) return;
+  diagnostics.error("config.value.order", "train.self_training.at", "the shares do not ascend",
+                    "write the smallest first, each once");
+}
+
+SEMFIELD_CHOICES(Precision, "fp32", "bf16", "auto");
+
+struct RuntimeParams {
+  std::string device = "auto";  ///< or what device_of reads (core/view.h)
+  Precision precision = Precision::fp32;
+  bool deterministic = false;
+  int threads = 0;
+  std::uint32_t seed = 1;
+  int lanes = 0;
+  int tile_rays = 0;
+  std::vector<std::string> keep;
+  double memory_gb = 0;
+  bool fold_feature_layer = true;
+  bool direction_once_per_ray = true;
+  bool deferred_class_layer = true;
+};
+
+inline void describe(ParamVisitor& visit, RuntimeParams& p) {
+  SEMFIELD_PARAM(visit, p, device,
+                 "where kernels run: auto, cpu, cuda, or cuda:N for GPU N, counted from 0; auto takes the fastest that "
+                 "this build and machine have");
+  SEMFIELD_PARAM(
+      visit, p, precision,
+      "precision of the networks' matrix products: fp32; bf16 operands with fp32 sums, weights and gradients; or auto, "
+      "which is bf16 where the machine computes it faster and all fields have it, and run.yaml has the choice");
+  SEMFIELD_PARAM(visit, p, deterministic,
+                 "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
+  SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
+  SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
+  SEMFIELD_PARAM(visit, p, lanes,
+                 "gradient slots, which also limit the threads of a step; 0: from the work of a step, up to 48, and "
+                 "run.yaml has the number; changes the order of sums",
+                 {0, 256});
+  SEMFIELD_PARAM(visit, p, tile_rays, "rays per tile; 0: from the samplers; changes the order of sums", {0, 1 << 16});
+  SEMFIELD_PARAM(
+      visit, p, keep,
+      "components to build although the scene does not need them, like --keep; `train --dry-run` names them");
+  SEMFIELD_PARAM(
+      visit, p, memory_gb,
+      "most memory that training may take, GB; 0: no limit; images larger than this, or than what is free, are refused "
+      "before they are read, and a run that takes more ends after its first steps",
+      {0, 1e6});
+  SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once per step (exact)");
+  SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once per ray (exact)");
+  SEMFIELD_PARAM(visit, p, deferred_class_layer, "apply the class layer once per ray, after compositing (exact)");
+}
+
+inline void validate(const RuntimeParams& p, Diagnostics& diagnostics) {
+  if (p.device == "auto" || device_of(p.device)) return;
+  diagnostics.error("config.value.choice", "runtime.device",
+                    "expected one of auto, cpu, cuda, or cuda:N for GPU N counted from 0, got '" + p.device + "'",
+                    near_name_remedy(p.device, {"auto", "cpu", "cuda"}, "write one of them"));
+}
+
+struct ReportParams {
+  std::int64_t log_every_steps = 20;
+  double eval_every_s = 10;
+  int eval_frames = 4;
+  double eval_share = 0.1;
+  double checkpoint_every_s = 60;
+  int keep_checkpoints = 2;
+  int strips = 4;
+  int training_frames = 0;
+  int worst_frames = 2;
+};
+
+inline void describe(ParamVisitor& visit, ReportParams& p) {
+  SEMFIELD_PARAM(visit, p, log_every_steps, "steps between rows of metrics.jsonl", {1, 1e9});
+  SEMFIELD_PARAM(visit, p, eval_every_s, "seconds of training between evaluations on test frames; 0: only at the end",
+                 {0, 1e8});
+  SEMFIELD_PARAM(visit, p, eval_frames,
+                 "test frames of an evaluation while training, evenly spaced; the last one takes all", {1, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, eval_share,
+      "share of the training time that evaluation may take; to stay within it, evaluations become rarer and read "
+      "fewer pixels; so does the last one of a run with train.time_s, of every test frame, and says so; 0: no bound",
+      {0, 1e6});
+  SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
+  SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
+  SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});
+  SEMFIELD_PARAM(
+      visit, p, training_frames,
+      "training frames, evenly spaced, on which the field and the training labels are scored at the end against "
+      "the scene's own labels; 0: none",
+      {0, 1e6});
+  SEMFIELD_PARAM(visit, p, worst_frames, "test frames with the lowest scores shown in the report", {0, 64});
+}
+
+}  // namespace semfield
