@@ -146,11 +146,6 @@ std::string problems(const Diagnostics& diagnostics) {
   return out;
 }
 
-template <class T>
-void put(std::string& out, T value) {
-  out.append(reinterpret_cast<const char*>(&value), sizeof value);
-}
-
 }  // namespace
 
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use) {
@@ -232,44 +227,6 @@ Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, cons
                                {"remedy", d.remedy}});
   }
   return out;
-}
-
-void write_frusta_ply(const std::string& path, const LoadedScene& scene) {
-  const std::size_t frames = scene.info.frames.size();
-  const Box cameras = count_frames(scene).cameras;  // they tell a size where nothing else does
-  double depth_m = 0.02 * length(scene.bounds.empty() ? cameras.size() : scene.bounds.size());
-  if (!(depth_m > 0)) depth_m = 0.1;
-  std::string out = fmt::format(
-      "ply\nformat binary_little_endian 1.0\ncomment camera frusta in world coordinates\nelement vertex {}\nproperty "
-      "double x\nproperty double y\n"
-      "property double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\nproperty "
-      "list "
-      "uchar int vertex_indices\nend_header\n",
-      frames * 5, frames * 5);
-  for (const FrameInfo& f : scene.info.frames) {
-    const std::uint8_t train[3] = {40, 90, 220}, test[3] = {240, 140, 20};
-    for (int corner = 0; corner < 5; ++corner) {
-      Vec3d p = f.world_from_camera.t;
-      if (corner > 0) {
-        // Corners in order around the image, by the straight (undistorted) pinhole.
-        const double u = corner == 2 || corner == 3 ? f.camera.width_px : 0, v = corner >= 3 ? f.camera.height_px : 0;
-        p = f.world_from_camera.apply(Vec3d{(u - f.camera.cx) / f.camera.fx, (v - f.camera.cy) / f.camera.fy, 1} *
-                                      depth_m);
-      }
-      for (int a = 0; a < 3; ++a) put(out, p[a]);
-      for (const std::uint8_t c : f.split == Split::test ? test : train) put(out, c);
-    }
-  }
-  for (std::size_t i = 0; i < frames; ++i) {
-    const auto base = static_cast<std::int32_t>(i * 5);
-    for (int side = 1; side <= 4; ++side) {
-      put(out, std::uint8_t{3});
-      for (const std::int32_t v : {base, base + side, base + side % 4 + 1}) put(out, v);
-    }
-    put(out, std::uint8_t{4});
-    for (const std::int32_t v : {base + 1, base + 4, base + 3, base + 2}) put(out, v);
-  }
-  write_file_atomic(path, out);
 }
 
 namespace {

@@ -1,4 +1,4 @@
-// What a scene holds, as text and as JSON, and its cameras as a mesh.
+// What a scene holds, as text and as JSON.
 #pragma once
 
 #include <array>
@@ -22,9 +22,6 @@ namespace semfield::app {
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
 Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
-
-/// Camera frusta as binary PLY: a pyramid per frame, 2 % of the bounds' diagonal high, train blue, test orange.
-void write_frusta_ply(const std::string& path, const LoadedScene& scene);
 
 // Which of the shipped presets suits a scene, from what was found in it.
 

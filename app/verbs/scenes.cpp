@@ -208,7 +208,6 @@ struct InspectOptions : Options {
   explicit InspectOptions(const Declaration& at) : Options(at) { threads(set); }
   const std::string& config = operand("config", "configuration file (YAML), or the folder of a scene");
   std::vector<std::string>& set = settings();
-  const std::string& frusta = value("--frusta FILE", "write the cameras as a PLY file");
 };
 
 // What an inspection shows of training frames are the labels that would train.
@@ -260,10 +259,6 @@ int run(const InspectOptions& options, AppContext& context) {
     print_json(context, inspect_json(scene, diagnostics, depth));
   } else {
     std::fputs(inspect_report(scene, diagnostics, depth).c_str(), stdout);
-  }
-  if (!options.frusta.empty()) {
-    write_frusta_ply(options.frusta, scene);
-    print_note(context, "cameras written to " + options.frusta);
   }
   std::vector<NextStep> next = next_of_cameras(scene.cameras_are_off(), what, scene.info.name);
   const auto then = [&](std::vector<NextStep> more) {

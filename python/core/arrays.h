@@ -35,12 +35,4 @@ py::array borrowed(View<T> view) {
   return out;
 }
 
-// Arrays in the memory of a CUDA device, for whoever reads DLPack: PyTorch, CuPy, JAX.
-
-/// A copy of `array` on device `ordinal` of this machine, an object of class DeviceArray. Throws Error(unavailable)
-/// without CUDA.
-pybind11::object on_device(const pybind11::array& array, int ordinal);
-
-void define_device_arrays(pybind11::module_& module);
-
 }  // namespace semfield::python

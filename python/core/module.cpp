@@ -113,7 +113,6 @@ PYBIND11_MODULE(_core, module) {
   register_errors(module);
   define_session(module);
   define_plugins(module);
-  define_device_arrays(module);
   module.def("write_pack", write_pack);
   module.def("is_pack", semfield::is_packed_scene);
   module.def("resolved", resolved);

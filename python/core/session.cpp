@@ -263,9 +263,9 @@ class PyRun : NonCopyable {
     if (axes.empty()) return py::none();
     return array_of(std::vector<float>(axes.data, axes.data + axes.size()), {axes.rows, axes.cols});
   }
-  // Maps of a camera, as semfield.View names them: NumPy arrays; with `ordinal` >= 0 DLPack of that CUDA device.
+  // Maps of a camera, as semfield.View names them.
   py::dict render(const py::dict& camera, const py::object& pose, int stride, bool probability,
-                  const std::vector<std::string>& channels, int ordinal) {
+                  const std::vector<std::string>& channels) {
     const Held held = hold();
     const Session& s = session();
     const RayCamera view{camera_of(camera), pose_of(pose, "render"), true};
@@ -290,24 +290,21 @@ class PyRun : NonCopyable {
     });
     const py::ssize_t height = frame.height_px, width = frame.width_px;
     const ClassTable& classes = s.scene.info.classes;
-    const auto map = [&](py::array array) -> py::object {
-      return ordinal < 0 ? py::object(std::move(array)) : on_device(array, ordinal);
-    };
     const py::none none;
-    py::dict out("rgb"_a = map(array_of(std::move(frame.rgb), {height, width, 3})),
-                 "depth_m"_a = map(array_of(std::move(frame.depth_m), {height, width})),
-                 "opacity"_a = map(array_of(std::move(frame.opacity), {height, width})), "label"_a = none,
+    py::dict out("rgb"_a = array_of(std::move(frame.rgb), {height, width, 3}),
+                 "depth_m"_a = array_of(std::move(frame.depth_m), {height, width}),
+                 "opacity"_a = array_of(std::move(frame.opacity), {height, width}), "label"_a = none,
                  "entropy"_a = none, "confidence"_a = none, "probability"_a = none, "channels"_a = py::dict());
     for (FrameChannel& one : frame.channels) {
       const py::ssize_t cols = one.cols;
-      out["channels"][py::str(one.name)] = map(array_of(std::move(one.values), {height, width, cols}));
+      out["channels"][py::str(one.name)] = array_of(std::move(one.values), {height, width, cols});
     }
     if (!s.pipeline->has_semantics()) return out;
-    out["label"] = map(ids_array(frame.label, classes, frame.height_px, frame.width_px));
-    out["entropy"] = map(array_of(std::move(frame.entropy), {height, width}));
-    out["confidence"] = map(array_of(std::move(frame.confidence), {height, width}));
+    out["label"] = ids_array(frame.label, classes, frame.height_px, frame.width_px);
+    out["entropy"] = array_of(std::move(frame.entropy), {height, width});
+    out["confidence"] = array_of(std::move(frame.confidence), {height, width});
     if (probability)
-      out["probability"] = map(array_of(std::move(frame.probability), {height, width, classes.valid_count()}));
+      out["probability"] = array_of(std::move(frame.probability), {height, width, classes.valid_count()});
     return out;
   }
   // A name and value each, and the JSON of final_eval.json.

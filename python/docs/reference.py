@@ -11,10 +11,10 @@ import semfield as sf
 
 GROUPS: List[Tuple[str, List[str]]] = [
     ("Runs", ["open", "resume", "load", "train", "resolved", "Run", "Training", "Labels"]),
-    ("What calls give back", ["Step", "View", "Points", "Score", "Outcome", "Objects", "Object", "DeviceArray", "to_device"]),
+    ("What calls give back", ["Step", "View", "Points", "Score", "Outcome", "Objects", "Object"]),
     ("Scenes", ["Scene", "Camera", "Frame", "ClassEntry", "prepare", "Prepared"]),
     ("Plugins", ["encoder", "head", "loss", "dataset", "param", "Tensor", "Encoder", "Head", "Loss", "Dataset", "load_plugin", "plugins"]),
-    ("The program and its sweeps", ["command", "sweep", "Sweep"]),
+    ("The program", ["command"]),
     ("Errors", ["Error", "Finding", "UsageError", "ConfigError", "DataError", "InputError", "UnavailableError", "WriteError",
                 "CommandError"]),
 ]
@@ -58,7 +58,7 @@ def members_of(cls: type) -> Iterator[Tuple[str, str]]:
 
 def heading_of(name: str, thing: Any) -> str:
     if inspect.isclass(thing):
-        if thing in (sf.Run, sf.Training, sf.Labels, sf.Score, sf.DeviceArray) or issubclass(thing, (sf.Encoder, sf.Dataset, sf.Error)):
+        if thing in (sf.Run, sf.Training, sf.Labels, sf.Score) or issubclass(thing, (sf.Encoder, sf.Dataset, sf.Error)):
             return name  # nobody makes them by hand
         return name + signature_of(thing).split(" -> ")[0]
     try:

@@ -27,18 +27,17 @@ except ModuleNotFoundError as missing:
                               "(on Debian the package python3-numpy)", name="numpy") from None
 
 from . import errors
-from ._core import DeviceArray, __version__
+from ._core import __version__
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
 from .plugins import Dataset, Encoder, Head, Loss, Tensor, dataset, encoder, head, load_plugin, loss, param, plugins
-from .program import CommandError, Object, Objects, Prepared, Sweep, command, prepare, sweep
-from .runs import (Labels, Outcome, Points, Run, Score, Step, Training, View, load, open, resolved, resume, to_device,
-                   train)
+from .program import CommandError, Object, Objects, Prepared, command, prepare
+from .runs import (Labels, Outcome, Points, Run, Score, Step, Training, View, load, open, resolved, resume, train)
 from .scenes import Camera, ClassEntry, Frame, Scene
 
 __all__ = [
-    "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",
-    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Object", "Objects", "Outcome", "Points", "Prepared", "Run", "Scene", "Score", "Step", "Sweep",
+    "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "Encoder", "Error",
+    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Object", "Objects", "Outcome", "Points", "Prepared", "Run", "Scene", "Score", "Step",
     "Tensor", "Training", "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors",
-    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "prepare", "resolved", "resume", "sweep", "to_device", "train",
+    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "prepare", "resolved", "resume", "train",
     "__version__",
 ]

@@ -14,12 +14,11 @@ import numpy as np
 
 from . import _core
 from .errors import Error, UsageError
-from .program import Objects, find_objects
+from .program import Array, Objects, find_objects
 from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _Arrays, _floats, _number, _pixels, _temporary, _whole
 
 Config = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 FrameId = Union[str, int]  #: name of a frame, or its number in `Run.frames`
-Array = Any  #: numpy.ndarray, or a DeviceArray where a device was asked for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,31 +147,6 @@ class Outcome:
     scores: Dict[str, Optional[float]]
     scored: str
     notes: List[str]
-
-
-def ordinal_of(device: str) -> int:
-    """Number of a CUDA device: 0 of "cuda", N of "cuda:N", -1 of "cpu"."""
-    if device == "cpu":
-        return -1
-    if device == "cuda":
-        return 0
-    number = str(device)[5:]
-    if str(device).startswith("cuda:") and number.isdecimal() and len(number) < 10:
-        return int(number)
-    raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N", code="usage.value.devices")
-
-
-def to_device(array: np.ndarray[Any, Any], device: str = "cuda") -> _core.DeviceArray:
-    """A copy of an array of any shape, such as [N, 3], in the memory of a CUDA device: "cuda" or "cuda:N".
-
-    Raises:
-        UnavailableError: there is no such device.
-    """
-    ordinal = ordinal_of(device)
-    if ordinal < 0:
-        raise UsageError("to_device: an array in the memory of the CPU is the array itself; name cuda or cuda:N",
-                         code="python.device.host")
-    return _core.to_device(np.asarray(array), ordinal)
 
 
 class Labels:
@@ -447,7 +421,6 @@ class Run(_core.Run):
         frame: Optional[FrameId] = None,
         stride: int = 1,
         probability: bool = False,
-        device: str = "cpu",
         channels: Sequence[str] = (),
     ) -> View:
         """What a camera sees.
@@ -459,7 +432,6 @@ class Run(_core.Run):
             frame: name or number of a frame whose camera and pose are meant.
             stride: every n-th pixel and row.
             probability: also the probability of every class.
-            device: "cpu": NumPy arrays; "cuda" or "cuda:1": arrays for DLPack on that device.
             channels: of heads in addition to that of class logits, by name.
         """
         if frame is None and pose is None:
@@ -474,7 +446,7 @@ class Run(_core.Run):
             if height is None:
                 height = max(1, round(camera.height * _pixels("render: width", width) / camera.width))
             camera = camera.resized(width, height)
-        maps = self._render(camera._dict(), at, _whole("stride", stride), bool(probability), list(channels), ordinal_of(device))
+        maps = self._render(camera._dict(), at, _whole("stride", stride), bool(probability), list(channels))
         whole = np.eye(4)
         whole[:3] = at[:3]
         return View(camera=camera, pose=whole, **maps)

@@ -2,8 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <cstring>
-
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "formats/image_io.h"
@@ -343,19 +341,6 @@ TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
   EXPECT_EQ(json.at("preset_why"), "depth images show where the scene ends");
 }
 
-TEST(Inspect, FrustaFileHasTheStatedSize) {
-  const std::string folder = fresh_folder("room");
-  write_replica(folder, 4);
-  NamedDataset replica = replica_of(folder);
-  Diagnostics d;
-  const LoadedScene scene = load_scene(replica, {}, d);
-  write_frusta_ply(folder + "/cameras.ply", scene);
-  const std::string file = read_text_file(folder + "/cameras.ply");
-  const std::size_t body = file.find("end_header\n") + 11;
-  EXPECT_HAS(file, "element vertex 20\n");
-  EXPECT_EQ(file.size() - body, 20u * 27 + 4u * (4 * 13 + 17));
-}
-
 // The layout has whole millimetres: depth of less is lost, and counted.
 TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
   const std::string folder = fresh_folder("c");
@@ -372,29 +357,6 @@ TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
   EXPECT_EQ(capture_replica(scene, info, folder + "/out").depth_clipped, 2) << "a tenth and four tenths";
   EXPECT_EQ(read_ids(folder + "/out/depth/depth_0.png").pixels,
             (std::vector<std::uint16_t>{0, 0, 0, 1, 1, 2, 3, 6500}));
-}
-
-// Two cameras a thousandth apart, ten million away from 0, and nothing else that tells a size.
-TEST(Inspect, FrustaSuitTheDistanceAndThePlaceOfTheCameras) {
-  LoadedScene scene;
-  for (const double x : {1e7, 1e7 + 1e-3}) {
-    FrameInfo frame{.name = "f"};
-    frame.camera = room_camera();
-    frame.world_from_camera.t = {x, 0, 0};
-    scene.info.frames.push_back(frame);
-  }
-  scene.frames.resize(2);
-  scene.class_pixels.resize(2);
-  const std::string path = fresh_folder("f") + "/cameras.ply";
-  write_frusta_ply(path, scene);
-  const std::string file = read_text_file(path);
-  const auto number = [&](std::size_t vertex, std::size_t axis) {
-    double out = 0;
-    std::memcpy(&out, file.data() + file.find("end_header\n") + 11 + 27 * vertex + 8 * axis, sizeof out);
-    return out;
-  };
-  EXPECT_NEAR(number(5, 0) - number(0, 0), 1e-3, 1e-8) << "centres";
-  EXPECT_NEAR(number(1, 2), 2e-5, 1e-9) << "a fiftieth of their distance";
 }
 
 // The preset that `semfield inspect` advises is the one that trained best: docs/evidence/scenes.md has the figures.

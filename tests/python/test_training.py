@@ -458,20 +458,10 @@ def test_sizes(box: sf.Run) -> None:
     (dict(frame=0, stride=25), "stride 25"),
     (dict(frame=0, stride=1.5), "stride: 1.5"),
     (dict(frame=0, camera=sf.Camera(4, 4, -1.0)), "focal"),
-    (dict(frame=0, device="gpu"), "expected cpu, cuda"),
 ])
 def test_what_is_wrong_is_named(box: sf.Run, wrong: Any, says: str) -> None:
     with pytest.raises(sf.Error, match=says):
         box.render(**wrong)
-
-
-def test_a_device_that_is_not_there(box: sf.Run) -> None:
-    with pytest.raises(sf.UnavailableError, match="CUDA"):
-        box.render(frame=0, device="cuda:99")
-    with pytest.raises(sf.UnavailableError, match="CUDA"):
-        sf.to_device(np.zeros((2, 3), np.float32), "cuda:99")
-    with pytest.raises(sf.UsageError, match="cuda:N"):
-        sf.to_device(np.zeros(3), "cpu")
 
 
 def test_maps_are_no_copies(box: sf.Run) -> None:
@@ -671,35 +661,6 @@ def test_trains_on_the_device(cuda_run: sf.Run) -> None:
     assert "cpu" not in cuda_run.device
     score = cuda_run.evaluate("test")
     assert score.miou_present is not None and score.miou_present > 0.5
-
-
-def test_maps_are_dlpack(cuda_run: sf.Run) -> None:
-    host = cuda_run.render(frame=9, probability=True)
-    there = cuda_run.render(frame=9, probability=True, device="cuda")
-    for name in ("rgb", "depth_m", "opacity", "label", "entropy", "confidence", "probability"):
-        array = getattr(there, name)
-        assert isinstance(array, sf.DeviceArray) and array.__dlpack_device__() == (2, 0)
-        assert array.shape == getattr(host, name).shape and array.dtype == getattr(host, name).dtype
-        assert np.array_equal(array.numpy(), getattr(host, name))
-
-
-def test_torch_takes_them(cuda_run: sf.Run) -> None:
-    torch = pytest.importorskip("torch")
-    host = cuda_run.render(frame=9, probability=True)
-    there = cuda_run.render(frame=9, probability=True, device="cuda")
-    tensors = {n: torch.from_dlpack(getattr(there, n)) for n in ("rgb", "label", "probability")}
-    del there  # the tensors keep their memory
-    for name, tensor in tensors.items():
-        assert tensor.is_cuda
-        assert np.array_equal(tensor.cpu().numpy(), getattr(host, name))
-    assert torch.allclose(tensors["probability"].sum(-1).cpu(), torch.ones(24, 32), atol=1e-5)
-
-
-def test_a_capsule_that_nobody_takes_is_given_back(cuda_run: sf.Run) -> None:
-    array = sf.to_device(np.arange(12, dtype=np.float32).reshape(3, 4))
-    for _ in range(3):
-        array.__dlpack__()
-    assert np.array_equal(np.asarray(array), np.arange(12, dtype=np.float32).reshape(3, 4))
 
 
 def test_points_know_what_the_device_learned(cuda_run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
