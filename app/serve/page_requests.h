@@ -14,43 +14,45 @@
 #include "app/json_output.h"
 #include "app/serve/http_server.h"
 #include "core/error.h"
-#include "formats/image_io.h"
+#include "eval/evaluator.h"
+#include "labels/strict_json.h"
+#include "scene/camera.h"
 #include "serve/label_loop.h"
 
 namespace semfield::app {
 
-[[noreturn]] void refuse_request(const std::string& message, const std::string& remedy = {});
-[[noreturn]] void refuse_request_value(const std::string& key, const std::string& expected, const Json& found);
+/// Error(data), "request: ...".
+Error request_error(const std::string& message, const std::string& remedy);
+inline constexpr StrictJson<Json> kRequest{request_error};
 
-/// A map whose keys, and those of the maps in it, are known and given once.
+/// A map whose keys are known and given once.
 Json parse_request(std::string_view text, const std::vector<std::string>& known);
-
-/// The value of a key; a missing one is refused.
-const Json& request_value(const Json& map, const char* key);
-/// What is missing leaves `into` as it is.
-void read_request_flag(const Json& root, const char* key, bool& into);
 /// A whole number; `otherwise` where the key is missing, which without one is refused.
 std::int32_t request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high,
                             std::optional<std::int32_t> otherwise = {});
 
 /// N numbers of at most this size, of the key `key`.
 template <std::size_t N>
-std::array<double, N> numbers_in(const Json& list, const char* key, double most) {
+std::array<double, N> request_numbers(const Json& map, const char* key, double most) {
   const std::string expected = std::to_string(N) + " numbers";
-  if (!list.is_array() || list.size() != N) refuse_request_value(key, expected, list);
+  const Json& list = kRequest.at(map, key);
+  if (!list.is_array() || list.size() != N) kRequest.refuse_value(key, expected, list);
   std::array<double, N> out{};
   for (std::size_t i = 0; i < N; ++i) {
-    if (!list[i].is_number()) refuse_request_value(key, expected, list[i]);
+    if (!list[i].is_number()) kRequest.refuse_value(key, expected, list[i]);
     out[i] = list[i].template get<double>();
-    if (!(std::abs(out[i]) <= most)) refuse_request_value(key, expected + " of a size that a scene can have", list[i]);
+    if (!(std::abs(out[i]) <= most)) kRequest.refuse_value(key, expected + " of a size that a scene can have", list[i]);
   }
   return out;
 }
-template <std::size_t N>
-std::array<double, N> request_numbers(const Json& map, const char* key, double most) {
-  return numbers_in<N>(request_value(map, key), key, most);
-}
 
+struct FreeCamera {
+  Pose world_from_camera;
+  double fov_deg = 60;  ///< horizontal
+
+  /// The rays of a picture of this size, in pixels.
+  RayCamera rays(std::int32_t width_px, std::int32_t height_px) const;
+};
 /// {"position", "rotation", "fov_deg"}: rows of world_from_camera, degrees of the picture's width.
 FreeCamera read_request_camera(const Json& map);
 
@@ -61,8 +63,8 @@ inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a reque
 /// missing, unknown or given twice. That the view exists is the session's to say.
 PictureRequest parse_picture_request(std::string_view json);
 
-enum class ExportKind { labels, coco, mesh, film };
-inline constexpr std::array kExportNames{"labels", "coco", "mesh", "film"};
+enum class ExportKind { labels, coco, mesh };
+inline constexpr std::array kExportNames{"labels", "coco", "mesh"};
 inline const char* export_name(ExportKind kind) { return kExportNames[static_cast<std::size_t>(kind)]; }
 /// What is to be made, or else the id of the export that is to end.
 struct ExportRequest {
@@ -79,9 +81,6 @@ std::optional<std::string_view> query_value(std::string_view query, std::string_
 std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most);
 
 // What is answered.
-
-/// {"position", "rotation", "fov_deg"}, as requests for pictures of a free camera state it.
-std::string camera_json(const FreeCamera& camera);
 
 /// {"error", "code", "remedy"}.
 std::string error_json(Code code, const std::string& message, const std::string& remedy);

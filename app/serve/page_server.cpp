@@ -4,9 +4,7 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/random.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
-#include <sys/wait.h>
 #include <turbojpeg.h>
 #include <unistd.h>
 
@@ -16,199 +14,20 @@
 #include <cerrno>
 #include <chrono>
 #include <cmath>
-#include <csignal>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <thread>
 
-#include "app/child_process.h"
 #include "app/serve/page_requests.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "formats/image_io.h"
-#include "formats/zip_archive.h"
 #include "system/files.h"
 
 namespace semfield::app {
 
 namespace fs = std::filesystem;
-
-namespace {
-
-constexpr int kLowPriority = 10;  // of 19: training goes first
-constexpr auto kProgramLook = std::chrono::milliseconds(100);
-constexpr const char* kLabelEnd = "_label.png";
-constexpr int kSideBySide = 2;        // more would only take the CPU from each other
-constexpr std::size_t kMostOpen = 8;  // that wait or are being made
-
-// The verb of an export, where RUN is the run's folder and TO the export's, and the files that it leaves.
-struct Recipe {
-  const char* begun;
-  std::vector<std::string> files, words;
-};
-
-const Recipe& recipe_of(ExportKind kind) {
-  static const std::array<Recipe, kExportNames.size()> recipes{
-      {{"rendering the labels",
-        {"labels.zip"},
-        {"labels", "export", "RUN", "--split", "train", "--format", "png", "--out", "TO"}},
-       {"rendering the labels",
-        {"coco.json"},
-        {"labels", "export", "RUN", "--split", "train", "--format", "coco", "--out", "TO/coco.json"}},
-       {"finding the surface",
-        {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"},
-        {"mesh", "RUN", "--format", "ply,glb", "--out", "TO/mesh.ply"}},
-       {"rendering the path",
-        {"video.mp4"},
-        {"render", "RUN", "--trajectory", "TO/path.json", "--video", "--out", "TO/video.mp4"}}}};
-  return recipes[static_cast<std::size_t>(kind)];
-}
-
-std::string type_of_export(const std::string& file) {
-  if (file.ends_with(".zip")) return "application/zip";
-  if (file.ends_with(".mp4")) return "video/mp4";
-  if (file.ends_with(".json")) return "application/json";
-  return "application/octet-stream";
-}
-
-bool is_open(const ExportState& state) { return state.state == "waiting" || state.state == "running"; }
-
-}  // namespace
-
-PageExports::~PageExports() {
-  {
-    const std::scoped_lock lock(mutex_);
-    stopping_ = true;
-  }
-  turn_.notify_all();
-  for (Export& one : exports_) one.thread.join();
-}
-
-std::string PageExports::start(ExportKind kind, const std::function<void(const std::string& folder)>& prepare) {
-  const std::scoped_lock lock(mutex_);
-  if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
-      static_cast<std::ptrdiff_t>(kMostOpen))
-    throw Error(ErrorKind::unavailable, "serve.exports.full",
-                fmt::format("{} exports are running or waiting", kMostOpen), "wait until one is done, or cancel one");
-  std::string id;
-  for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", export_name(kind), n);
-  create_folders(folder_of(id));
-  if (prepare) prepare(folder_of(id));
-  Export& one = exports_.emplace_back(Export{kind, {id, export_name(kind), "waiting", "for its turn", {}}});
-  ++changes_;
-  one.thread = std::thread([this, &one] { make(one); });
-  return id;
-}
-
-bool PageExports::cancel(const std::string& id) {
-  const std::scoped_lock lock(mutex_);
-  const auto one = std::find_if(exports_.begin(), exports_.end(), [&](const Export& e) { return e.state.id == id; });
-  if (one == exports_.end()) return false;
-  one->canceled = true;
-  turn_.notify_all();
-  return true;
-}
-
-std::vector<ExportState> PageExports::list() const {
-  const std::scoped_lock lock(mutex_);
-  std::vector<ExportState> out;
-  for (const Export& one : exports_) out.push_back(one.state);
-  return out;
-}
-
-void PageExports::tell(Export& one, const std::string& state, const std::string& text,
-                       const std::vector<std::string>& files) {
-  const std::scoped_lock lock(mutex_);
-  if (one.state.state == state && one.state.text == text) return;
-  one.state = {one.state.id, one.state.what, state, text, files};
-  ++changes_;
-}
-
-bool PageExports::ends(const Export& one) const {
-  const std::scoped_lock lock(mutex_);
-  return stopping_ || one.canceled;
-}
-
-void PageExports::make(Export& one) {
-  const std::string folder = folder_of(one.state.id);  // the id never changes
-  {
-    std::unique_lock lock(mutex_);
-    turn_.wait(lock, [&] { return stopping_ || one.canceled || making_ < kSideBySide; });
-    ++making_;
-  }
-  try {
-    if (!ends(one)) {
-      tell(one, "running", "saving the field");
-      if (save_) save_();
-      run_verb(one);
-      if (one.kind == ExportKind::labels) pack_labels(folder);
-    }
-    if (ends(one)) {
-      tell(one, "canceled", "");
-    } else {
-      tell(one, "done", "in " + folder, recipe_of(one.kind).files);
-    }
-  } catch (const std::exception& e) {
-    tell(one, ends(one) ? "canceled" : "failed", ends(one) ? "" : e.what());
-  }
-  const std::scoped_lock lock(mutex_);
-  --making_;
-  turn_.notify_all();
-}
-
-void PageExports::run_verb(Export& one) {
-  const std::string folder = folder_of(one.state.id), log = folder + "/log.txt";
-  const Recipe& recipe = recipe_of(one.kind);
-  const std::string begun = recipe.begun;
-  std::vector<std::string> words{options_.program};
-  for (const std::string& word : recipe.words)
-    words.push_back(word == "RUN" ? options_.run_dir : word.starts_with("TO") ? folder + word.substr(2) : word);
-  for (const std::string& module : options_.modules) words.insert(words.end(), {"--plugin", module});
-  tell(one, "running", begun);
-  const pid_t child =
-      start_child(words, {folder + "/output.txt", log}, [] { setpriority(PRIO_PROCESS, 0, kLowPriority); });
-  int status = 0;
-  bool asked = false;
-  while (waitpid(child, &status, WNOHANG) == 0) {
-    if (!asked && ends(one)) {
-      kill(child, SIGTERM);
-      asked = true;
-    }
-    const std::string line = last_line(log);
-    tell(one, "running", line.empty() ? begun : line);
-    std::this_thread::sleep_for(kProgramLook);
-  }
-  if (asked) return;
-  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0)
-    throw Error(ErrorKind::failure, "export.process.failed", child_failure(status, log));
-}
-
-// Class ids as PNG, and the table that says what they mean.
-void PageExports::pack_labels(const std::string& folder) const {
-  ZipWriter zip(folder + "/labels.zip");
-  for (const fs::directory_entry& entry : sorted_folder(folder)) {
-    const std::string name = entry.path().filename().string();
-    if (name.ends_with(kLabelEnd) || name == "classes.yaml") zip.add(name, read_text_file(entry.path().string()));
-  }
-  zip.write();
-}
-
-HttpResponse PageExports::download(const std::string& place) const {
-  const std::lock_guard lock(mutex_);
-  for (const Export& one : exports_) {
-    for (std::size_t n = 0; n < one.state.files.size(); ++n) {
-      if (place != fmt::format("{}/{}", one.state.id, n)) continue;
-      const std::string& name = one.state.files[n];
-      HttpResponse response{200, type_of_export(name), ""};
-      response.file = folder_of(one.state.id) + "/" + name;
-      response.download_name = name;
-      return response;
-    }
-  }
-  return {404, "application/json",
-          error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
-}
 
 std::int64_t now_ms() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
@@ -315,28 +134,25 @@ Json state_json(const LabelState& s, const LabelSource& source, const std::vecto
 }  // namespace
 
 PageServer::PageServer(LabelSource& source, PageOptions options)
-    : PageHost([&source] { source.save(); }, options.exports, "export/", "docs/reference/labelling_http.md"),
-      source_(source),
-      options_(std::move(options)) {
-  std::map<std::string, Place> places{
+    : source_(source),
+      options_(std::move(options)),
+      exports_([&source] { source.save(); }, options_.exports),
+      host_(options_.token, options_.http, options_.next_port, "docs/reference/labelling_http.md", places()) {}
+
+PageHost::Places PageServer::places() {
+  constexpr std::string_view kExports = "/export/";
+  PageHost::Places places{
       {"state", {"GET", [this](const HttpRequest& r) { return get_state(r); }}},
       {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
-      {"camera",
-       {"GET",
-        [this](const HttpRequest& r) {
-          return HttpResponse{200, "application/json", camera_json(source_.camera_of(view_of(r)))};
-        }}},
       {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
       {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
-      {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}}};
+      {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}},
+      {"export/", {"GET", [this, kExports](const HttpRequest& r) {
+                     return exports_.download(r.path.substr(r.path.find(kExports) + kExports.size()));
+                   }}}};
   for (const auto& [name, file] : options_.files)
-    places[name] = {"GET", [file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
-  open(options_.token, options_.http, options_.next_port, std::move(places));
-}
-
-PageServer::~PageServer() {
-  stopping_ = true;
-  close();
+    places[name] = {"GET", [&file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
+  return places;
 }
 
 // Exports change beside the session, so the page follows the sum of both counts.
@@ -372,17 +188,13 @@ void PageServer::check_view(std::uint64_t view) const {
                 "count from 0; the views are listed in the state");
 }
 
-int PageServer::view_of(const HttpRequest& request) const {
-  const std::uint64_t view = query_number(request.query, "view", kMostNumber, kMostNumber);
-  if (view == kMostNumber)
-    throw Error(ErrorKind::data, "serve.request.invalid", "request: 'view' is missing", "ask for ?view=0");
-  check_view(view);
-  return static_cast<int>(view);
-}
-
 HttpResponse PageServer::get_photo(const HttpRequest& request) const {
   const auto most = static_cast<std::int32_t>(query_number(request.query, "most_px", 0, kMostPhotoSide));
-  const int view = view_of(request);
+  const std::uint64_t number = query_number(request.query, "view", kMostNumber, kMostNumber);
+  if (number == kMostNumber)
+    throw Error(ErrorKind::data, "serve.request.invalid", "request: 'view' is missing", "ask for ?view=0");
+  check_view(number);
+  const auto view = static_cast<int>(number);
   const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view, most), most);
   HttpResponse response{200, kJpeg, std::string(jpeg.begin(), jpeg.end())};
   // The run may be opened again with another image in the view's place, which then has another address.
@@ -401,10 +213,10 @@ HttpResponse PageServer::post_event(const HttpRequest& request) {
 
 HttpResponse PageServer::post_picture(const HttpRequest& request) {
   const PictureRequest wanted = parse_picture_request(request.body);
-  if (!wanted.camera) check_view(static_cast<std::uint64_t>(wanted.view));
+  check_view(static_cast<std::uint64_t>(wanted.view));
   Picture picture = source_.picture(wanted, [&] { return request.abandoned(); });
   picture.overlay_revision += options_.first_revision;
-  return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes, wanted.at.has_value())};
+  return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes)};
 }
 
 HttpResponse PageServer::post_export(const HttpRequest& request) {
@@ -576,11 +388,9 @@ std::string kept_run_id(const std::string& run_dir) {
   return id;
 }
 
-void PageHost::open(std::string token, HttpOptions http, bool next_port, std::map<std::string, Place> places) {
-  places_ = std::move(places);
+PageHost::PageHost(std::string token, HttpOptions http, bool next_port, std::string guide, Places places)
+    : guide_(std::move(guide)), token_(std::move(token)), address_(http.address), places_(std::move(places)) {
   http.port = port_ = free_port(http.address, http.port, next_port);
-  token_ = std::move(token);
-  address_ = http.address;
   HttpHandler handler;
   handler.refuse = [this](const HttpRequest& head) {
     std::optional<HttpResponse> refused;
@@ -591,14 +401,14 @@ void PageHost::open(std::string token, HttpOptions http, bool next_port, std::ma
     return failed.status == 200 ? refused : failed;
   };
   handler.answer = [this](const HttpRequest& request) { return safe_answer([&] { return route(request); }); };
-  http_ = std::make_unique<HttpServer>(http, std::move(handler));
+  http_.emplace(http, std::move(handler));
 }
 
 HttpResponse PageHost::route(const HttpRequest& request) {
   const std::string name = request.path.substr(token_.size() + 2);  // below the secret folder
-  if (name.starts_with(files_))
-    return request.method == "GET" ? exports_.download(name.substr(files_.size())) : wrong_method("GET");
-  const auto place = places_.find(name);
+  auto place = places_.find(name);
+  if (const std::size_t slash = name.find('/'); place == places_.end() && slash != std::string::npos)
+    place = places_.find(name.substr(0, slash + 1));
   if (place == places_.end())
     return {404, "application/json",
             error_json("serve.address.unknown", "nothing is at this address", "see " + guide_)};
@@ -641,19 +451,13 @@ std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_p
   return encode_png(width_px, height_px, 3, 8, index, {palette, clear}, kQuick);
 }
 
-std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes, bool is_spot) {
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes) {
   const auto seen_json = [](const SeenMark& mark) {
     return Json{{"id", mark.id}, {"points", points_json(mark.points)}};
   };
-  Json facts{
+  const Json facts{
       {"width", picture.width_px},      {"height", picture.height_px}, {"overlay_revision", picture.overlay_revision},
       {"render_ms", picture.render_ms}, {"stale", picture.stale},      {"marks", list(picture.seen, seen_json)}};
-  if (is_spot) {
-    facts["spot"] = nullptr;
-    if (picture.spot) facts["spot"] = {{"view", picture.spot->view}, {"at", {picture.spot->at.x, picture.spot->at.y}}};
-    facts["meets_surface"] = picture.meets_surface;
-    facts["nearest_view"] = picture.nearest_view;
-  }
   const std::int32_t w = picture.width_px, h = picture.height_px;
   std::string out;
   put_part(out, facts.dump());

@@ -19,7 +19,6 @@
 #include <mutex>
 #include <thread>
 
-#include "app/child_process.h"
 #include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
@@ -33,7 +32,6 @@
 #include "report/report.h"
 #include "run/run_folder.h"
 #include "run/run_scores.h"
-#include "scene/camera.h"
 #include "serve/label_loop.h"
 
 #endif
@@ -91,7 +89,6 @@ class ViewedRun {
     show_objects(objects_.look());
   }
 
-  const std::string& folder() const { return run_.run_dir; }
   std::string name() const { return page_.run; }
   std::int64_t step() const { return run_.step; }
   // Step of the newest checkpoint in the folder.
@@ -332,105 +329,78 @@ class ViewedRun {
   std::array<std::shared_ptr<const RunSurface>, 2> surface_;  // coarse, fine
 };
 
-constexpr std::size_t kMostFilmFrames = 20'000;
-constexpr std::int32_t kMostFilmSide = 4096;
-
 HttpResponse json_text_answer(std::string text) { return {200, "application/json", std::move(text)}; }
 HttpResponse bytes(std::string data) { return {200, "application/octet-stream", std::move(data)}; }
 
 double real_in(const Json& root, const char* key, double low, double high) {
   const auto found = root.find(key);
   if (found == root.end() || !found->is_number() || !(found->get<double>() >= low && found->get<double>() <= high))
-    refuse_request(fmt::format("'{}': expected a number from {:g} to {:g}", key, low, high));
+    kRequest.refuse(fmt::format("'{}': expected a number from {:g} to {:g}", key, low, high));
   return found->get<double>();
 }
 
 std::string word_in(const Json& root, const char* key) {
   const auto found = root.find(key);
-  if (found == root.end() || !found->is_string()) refuse_request(std::string("'") + key + "': expected a word");
+  if (found == root.end() || !found->is_string()) kRequest.refuse(std::string("'") + key + "': expected a word");
   return found->get<std::string>();
 }
 
-// Lists of 12 numbers, rows of world_from_camera.
-CameraSet film_cameras(const Json& lines, std::int32_t width, std::int32_t height, double fov_deg) {
-  if (!lines.is_array() || lines.size() < 2 || lines.size() > kMostFilmFrames)
-    refuse_request_value("path", fmt::format("2 to {} lists of 12 numbers", kMostFilmFrames), lines);
-  CameraSet set;
-  const Camera camera = FreeCamera{{}, fov_deg}.rays(width, height).camera;
-  for (const Json& line : lines) {
-    PlacedCamera& placed = set.cameras.emplace_back(fmt::format("{:05}", set.cameras.size()), camera, Pose{});
-    const std::array<double, 12> m = numbers_in<12>(line, "path", 1e9);
-    for (std::size_t row = 0; row < 3; ++row) {
-      std::copy_n(&m[4 * row], 3, placed.world_from_camera.r[row].begin());
-      placed.world_from_camera.t[static_cast<int>(row)] = m[4 * row + 3];
-    }
-  }
-  return set;
-}
-
-// The page of one or two runs, which must outlive it, and its places over HTTP.
-class ViewServer final : public PageHost {
+// The places of the page of one or two runs, which must outlive whoever answers by them.
+class ViewPlaces {
  public:
-  // `films`: exports of the first run. Serves when it returns. Throws as free_port does.
-  ViewServer(const std::vector<std::unique_ptr<ViewedRun>>& runs, HttpOptions http, bool next_port, ExportOptions films,
-             std::string text)
-      : PageHost(nullptr, std::move(films), "film/", "docs/guide/viewing.md"), runs_(runs) {
-    http.most_body_bytes = std::size_t{8} << 20;  // a path of the camera
+  explicit ViewPlaces(const std::vector<std::unique_ptr<ViewedRun>>& runs) : runs_(runs) {}
+
+  PageHost::Places places(std::string text) const {
     HttpResponse page{200, "text/html; charset=utf-8", std::move(text)};
     page.own_code = true;
-    const auto surface = [this](const HttpRequest& r) {
-      return bytes(run(query_number(r.query, "run", 0, 1)).scene(query_number(r.query, "fine", 0, 1) == 1));
-    };
-    const auto probability = [this](const HttpRequest& r) {
-      const auto index = static_cast<int>(query_number(r.query, "class", 0, 65535));
-      return bytes(
-          run(query_number(r.query, "run", 0, 1)).probability(index, query_number(r.query, "fine", 0, 1) == 1));
-    };
-    const auto point = [this](const HttpRequest& r) {
-      const Json root = parse_request(r.body, {"run", "at"});
-      const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
-      return json_text_answer(run_of_request(root).point({at[0], at[1], at[2]}));
-    };
-    open(new_token(), std::move(http), next_port,
-         {{"", {"GET", [page](const HttpRequest&) { return page; }}},
-          {"surface", {"GET", surface}},
-          {"probability", {"GET", probability}},
-          {"state", {"GET", [this](const HttpRequest&) { return get_state(); }}},
-          {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
-          {"point", {"POST", point}},
-          {"edit", {"POST", [this](const HttpRequest& r) { return post_edit(r); }}},
-          {"film", {"POST", [this](const HttpRequest& r) { return post_film(r); }}}});
+    return {{"", {"GET", [page](const HttpRequest&) { return page; }}},
+            {"surface", {"GET", [this](const HttpRequest& r) { return bytes(run_of(r).scene(is_fine(r))); }}},
+            {"probability",
+             {"GET",
+              [this](const HttpRequest& r) {
+                const auto index = static_cast<int>(query_number(r.query, "class", 0, 65535));
+                return bytes(run_of(r).probability(index, is_fine(r)));
+              }}},
+            {"state", {"GET", [this](const HttpRequest&) { return get_state(); }}},
+            {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+            {"point",
+             {"POST",
+              [this](const HttpRequest& r) {
+                const Json root = parse_request(r.body, {"run", "at"});
+                const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
+                return json_text_answer(run_of_request(root).point({at[0], at[1], at[2]}));
+              }}},
+            {"edit", {"POST", [this](const HttpRequest& r) { return post_edit(r); }}}};
   }
-  ~ViewServer() override { close(); }
 
  private:
   ViewedRun& run(std::uint64_t number) const {
-    if (number >= runs_.size()) refuse_request(fmt::format("run {} is not there", number), "count from 0");
+    if (number >= runs_.size()) kRequest.refuse(fmt::format("run {} is not there", number), "count from 0");
     return *runs_[number];
   }
+  ViewedRun& run_of(const HttpRequest& request) const { return run(query_number(request.query, "run", 0, 1)); }
   ViewedRun& run_of_request(const Json& root) const {
     return run(static_cast<std::uint64_t>(request_number(root, "run", 0, 1)));
   }
+  static bool is_fine(const HttpRequest& request) { return query_number(request.query, "fine", 0, 1) == 1; }
 
   HttpResponse get_state() const {
-    Json runs = Json::array(), films = Json::array();
+    Json runs = Json::array();
     for (const auto& one : runs_)
       runs.push_back({{"name", one->name()}, {"step", one->step()}, {"newest", one->newest_step()}});
-    for (const ExportState& film : exports_.list())
-      films.push_back({{"id", film.id}, {"state", film.state}, {"text", film.text}, {"files", film.files}});
-    return json_answer({{"runs", runs}, {"films", films}});
+    return json_answer({{"runs", runs}});
   }
 
   HttpResponse post_picture(const HttpRequest& request) const {
     const Json root = parse_request(request.body, {"run", "camera", "width", "height", "map", "class", "near", "far"});
     ViewPicture wanted;
-    wanted.camera = read_request_camera(request_value(root, "camera"));
+    wanted.camera = read_request_camera(kRequest.at(root, "camera"));
     wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
     wanted.height_px = request_number(root, "height", 1, kMostPictureSide);
     wanted.map = word_in(root, "map");
     const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth", "probability"};
     if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
-      refuse_request_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
+      kRequest.refuse_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
     wanted.class_index = request_number(root, "class", 0, 65535, 0);
     if (wanted.map == "depth") {
       wanted.near_m = real_in(root, "near", 0, 1e9);
@@ -443,21 +413,12 @@ class ViewServer final : public PageHost {
   HttpResponse post_edit(const HttpRequest& request) const {
     Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
     bool fine = false;
-    read_request_flag(root, "fine", fine);
+    kRequest.flag(root, "fine", fine);
     const std::string made_on = word_in(root, "made_on");
     root.erase("fine");
     root.erase("made_on");
     if (word_in(root, "do") == "undo") return json_text_answer(run(0).edit(std::nullopt, made_on, fine));
     return json_text_answer(run(0).edit(parse_object_edit(root.dump(), "request"), made_on, fine));
-  }
-
-  HttpResponse post_film(const HttpRequest& request) {
-    const Json root = parse_request(request.body, {"path", "width", "height", "fov_deg"});
-    const CameraSet cameras =
-        film_cameras(request_value(root, "path"), request_number(root, "width", 16, kMostFilmSide),
-                     request_number(root, "height", 16, kMostFilmSide), real_in(root, "fov_deg", 1, 170));
-    const auto write = [&](const std::string& folder) { write_cameras(folder + "/path.json", cameras); };
-    return json_answer({{"id", exports_.start(ExportKind::film, write)}});
   }
 
   const std::vector<std::unique_ptr<ViewedRun>>& runs_;
@@ -475,9 +436,9 @@ int run(const ViewVerbOptions& options, AppContext& context) {
       runs.push_back(std::make_unique<ViewedRun>(run_of(one, options.set, OpenFor::rendering, context)));
   std::vector<std::string> names;
   for (const auto& one : runs) names.push_back(one->name());
-  const ViewServer server(runs, http, !options.port,
-                          {own_program(), runs.front()->folder(), context.registry.module_files()},
-                          live_page_text(runs.front()->name(), names));
+  const ViewPlaces places(runs);
+  const PageHost server(new_token(), http, !options.port, "docs/guide/viewing.md",
+                        places.places(live_page_text(runs.front()->name(), names)));
   // While the browser loads the page. What fails here fails for the page too, which says why.
   const std::jthread meshes([&runs] {
     for (const auto& one : runs) {

@@ -356,19 +356,6 @@ std::uint64_t key_of(const LabelledPixels& click) {
 
 }  // namespace
 
-RayCamera FreeCamera::rays(std::int32_t width_px, std::int32_t height_px) const {
-  RayCamera rays;
-  rays.undistort = false;
-  rays.world_from_camera = world_from_camera;
-  Camera& camera = rays.camera;
-  camera.width_px = width_px;
-  camera.height_px = height_px;
-  camera.fx = camera.fy = width_px / (2 * std::tan(fov_deg / 360 * std::numbers::pi));
-  camera.cx = width_px / 2.0;
-  camera.cy = height_px / 2.0;
-  return rays;
-}
-
 namespace {
 
 constexpr float kMostLead = 6;           // of a way, beyond which it says no more

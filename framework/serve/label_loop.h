@@ -181,12 +181,6 @@ struct SeenMark {
   std::vector<PixelPoint> points;  ///< pixels of the picture
 };
 
-/// A pixel of a view.
-struct Spot {
-  int view = -1;
-  PixelPoint at;
-};
-
 struct HistoryRow {
   double train_s = 0, loss = 0, psnr_db = 0;
   int clicks = 0;
@@ -216,24 +210,13 @@ struct LabelState {
   std::string failure;             ///< not empty: training has ended with this; what was labelled is safe
 };
 
-struct FreeCamera {
-  Pose world_from_camera;
-  double fov_deg = 60;  ///< horizontal
-
-  /// The rays of a picture of this size, in pixels.
-  RayCamera rays(std::int32_t width_px, std::int32_t height_px) const;
-};
-
 struct PictureRequest {
-  std::string client;                ///< a later request of the same client takes the place of one that waits
-  int view = -1;                     ///< number in LabelState::views, or
-  std::optional<FreeCamera> camera;  ///< a camera of its own
-  std::int32_t most_px = 0;          ///< longest side of a free camera's picture; 0: that of the views
-  std::optional<PixelPoint> at;      ///< of a camera: a point, as fractions of width and height; no map is made
-  bool color = false;                ///< rendered colour
+  std::string client;  ///< a later request of the same client takes the place of one that waits
+  int view = 0;        ///< number in LabelState::views
+  bool color = false;  ///< rendered colour
   bool labels = true;
   bool entropy = false;
-  bool full = false;  ///< every pixel rendered: a free camera that stands still, or a view's final labels
+  bool full = false;  ///< every pixel rendered: the view's final labels
 };
 
 /// Maps row by row; those that were not requested are empty.
@@ -243,9 +226,6 @@ struct Picture {
   std::vector<std::int16_t> label;    ///< class indices, kVoid for none
   std::vector<std::uint8_t> entropy;  ///< 0 to 255: a fraction of the largest there can be
   std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
-  std::optional<Spot> spot;           ///< about `at`: where a photograph shows it best
-  bool meets_surface = false;         ///< the ray through `at` meets something
-  int nearest_view = -1;              ///< of a camera with `at`: the view that is taken from about there
   std::uint64_t overlay_revision = 0;
   double render_ms = 0;
   bool stale = false;  ///< nothing was made: a later request took the place, or the session ends

@@ -555,12 +555,6 @@ Picture LabelSession::picture(const PictureRequest& request, const std::function
   return order->made ? std::move(*order->made) : none;
 }
 
-FreeCamera LabelSession::camera_of(int view) const {
-  const RayCamera& camera = run_.loop().views().at(static_cast<std::size_t>(view)).camera;
-  constexpr double kDegrees = 57.29577951308232;
-  return {camera.world_from_camera, 2 * kDegrees * std::atan(camera.camera.width_px / (2 * camera.camera.fx))};
-}
-
 Image<std::uint8_t> LabelSession::photo(int view, std::int32_t most_px) {
   const int frame = frame_of(view);
   const StoredFrame& trained = opened().scene.frames.at(static_cast<std::size_t>(frame));

@@ -124,7 +124,6 @@ class LabelSource {
   /// as there is). Throws what the dataset throws, and Error(data) where the files are no longer those that were
   /// loaded.
   virtual Image<std::uint8_t> photo(int view, std::int32_t most_px) = 0;
-  virtual FreeCamera camera_of(int view) const = 0;
   /// Number of the view that shows a frame of the scene; -1: none.
   virtual int view_of(int frame) const = 0;
   /// Writes a checkpoint, and returns when it is there.
@@ -148,7 +147,6 @@ class LabelSession final : public LabelSource {
   std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override;
   Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {}) override;
   Image<std::uint8_t> photo(int view, std::int32_t most_px) override;
-  FreeCamera camera_of(int view) const override;
   int view_of(int frame) const override { return run_.view_of(frame); }
   void save() override;
 

@@ -22,19 +22,11 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kFineViews = 12;
 constexpr double kFinePixels = 100'000;  // of a view's own surface: more would make its labels slow
-constexpr double kMovingFrame_s = 0.15;  // of a camera that moves
-constexpr std::int32_t kLeastSide = 48, kMostSide = 4096;
-
-bool is_finite(const Pose& pose) {
-  double sum = pose.t.x + pose.t.y + pose.t.z;
-  for (const std::array<double, 3>& row : pose.r) sum += row[0] + row[1] + row[2];
-  return std::isfinite(sum);
-}
+constexpr double kQuickPicture_s = 0.15;
+constexpr double kLeastRays = 48.0 * 48;  // of a picture
 
 // Made without rendering a picture.
-bool is_at_hand(const PictureRequest& request) {
-  return request.at || (request.view >= 0 && !request.color && !request.full);
-}
+bool is_at_hand(const PictureRequest& request) { return !request.color && !request.full; }
 
 std::int32_t fine_stride(const Camera& camera) {
   const double pixels = static_cast<double>(camera.width_px) * camera.height_px;
@@ -45,37 +37,14 @@ std::int32_t fine_stride(const Camera& camera) {
 
 ViewPictures::ViewPictures(Trainer& training, LabelLoop& loop) : training_(training), loop_(loop) {}
 
-RayCamera ViewPictures::camera_for(const PictureRequest& request) const {
-  if (request.view >= 0) return loop_.view(request.view).camera;
-  const Camera& like = loop_.views().front().camera.camera;
-  const double most = request.most_px > 0 ? request.most_px : std::max(like.width_px, like.height_px);
-  const double aspect = static_cast<double>(like.width_px) / like.height_px;
-  const auto width_px = static_cast<std::int32_t>(aspect >= 1 ? most : most * aspect),
-             height_px = static_cast<std::int32_t>(aspect >= 1 ? most / aspect : most);
-  return request.camera->rays(std::max(width_px, 1), std::max(height_px, 1));
-}
-
 void ViewPictures::begin(const PictureRequest& request) {
   request_.reset();
-  const auto refuse = [](const std::string& what, const std::string& remedy) {
-    throw Error(ErrorKind::usage, "serve.picture.request", "picture: " + what, remedy);
-  };
-  if ((request.view < 0) != request.camera.has_value())
-    refuse(request.camera ? "it is of both a view and a camera" : "it is of neither a view nor a camera",
-           "name a view, or give a camera");
-  if (request.view >= std::ssize(loop_.views()))
-    refuse(fmt::format("view {} is none of the {}", request.view, loop_.views().size()),
-           fmt::format("name one from 0 to {}", loop_.views().size() - 1));
-  if (request.most_px != 0 && (request.most_px < kLeastSide || request.most_px > kMostSide))
-    refuse(fmt::format("most_px {} is not in {} to {}", request.most_px, kLeastSide, kMostSide),
-           "ask for another size");
-  if (request.camera && !(request.camera->fov_deg >= 1 && request.camera->fov_deg <= 170))
-    refuse("the field of view is not in 1 to 170 degrees", "give another one");
-  if (request.camera && !is_finite(request.camera->world_from_camera))
-    refuse("the camera has a number that is not finite", "give position and rotation as numbers");
-  camera_ = camera_for(request);
+  if (request.view < 0 || request.view >= std::ssize(loop_.views()))
+    throw Error(ErrorKind::usage, "serve.picture.request",
+                fmt::format("picture: view {} is none of the {}", request.view, loop_.views().size()),
+                fmt::format("name one from 0 to {}", loop_.views().size() - 1));
+  camera_ = loop_.view(request.view).camera;
   picture_ = {};
-  distance_m_.clear();
   rows_done_ = 0;
   spent_s_ = 0;
   shows_labels_ = training_.session().pipeline->has_semantics() && loop_.learned();
@@ -84,7 +53,7 @@ void ViewPictures::begin(const PictureRequest& request) {
   Camera& camera = camera_.camera;
   if (!request.full) {  // small enough to be there soon
     const double rays = static_cast<double>(camera.width_px) * camera.height_px,
-                 affordable = std::max(rays_per_s_ * kMovingFrame_s, 1.0 * kLeastSide * kLeastSide);
+                 affordable = std::max(rays_per_s_ * kQuickPicture_s, kLeastRays);
     if (rays > affordable) {
       const double scale = std::sqrt(affordable / rays);
       camera = camera.resized(std::max(1, static_cast<std::int32_t>(camera.width_px * scale)),
@@ -99,14 +68,20 @@ std::optional<Picture> ViewPictures::work(double budget_s) {
   if (!request_) return std::nullopt;
   if (is_at_hand(*request_)) {
     const Clock::time_point start = Clock::now();
-    Picture made = request_->at ? spot_of(*request_) : labels_of_view(*request_);
+    Picture made = labels_of_view(*request_);
     made.render_ms = 1e3 * seconds_since(start);
     request_.reset();
     return made;
   }
   render_rows(budget_s);
   if (rows_done_ < picture_.height_px) return std::nullopt;
-  if (request_->labels) picture_.seen = seen_in_picture();
+  if (request_->labels) {
+    const Camera& camera = loop_.view(request_->view).camera.camera;
+    picture_.seen = seen_by(request_->view, loop_.view(request_->view).map);
+    for (SeenMark& mark : picture_.seen)
+      for (PixelPoint& p : mark.points)
+        p = {p.x * picture_.width_px / camera.width_px, p.y * picture_.height_px / camera.height_px};
+  }
   picture_.render_ms = 1e3 * spent_s_;
   request_.reset();
   return std::move(picture_);
@@ -134,48 +109,14 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
   if (request.labels) {
     picture.label = std::move(labels.label);
     const bool is_fine = fine.complete() && fine.map.step > 0;
-    picture.seen = seen_by(view.camera, distance_in(is_fine ? fine.map : view.map), request.view);
+    picture.seen = seen_by(request.view, is_fine ? fine.map : view.map);
   }
   if (request.entropy) picture.entropy = std::move(labels.entropy);
   return picture;
 }
 
-std::vector<SeenMark> ViewPictures::seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) const {
-  return marks_seen(marks_, camera, distance, own, loop_.views(), training_.session().limits, tolerance_m());
-}
-
-std::vector<SeenMark> ViewPictures::seen_in_picture() {
-  const auto width = static_cast<std::size_t>(picture_.width_px);
-  if (request_->view < 0) {
-    const SurfaceDistance distance = [&](std::int32_t column, std::int32_t row) {
-      return static_cast<double>(distance_m_[static_cast<std::size_t>(row) * width + static_cast<std::size_t>(column)]);
-    };
-    return seen_by(camera_, distance, -1);
-  }
-  const PoolView& view = loop_.view(request_->view);
-  std::vector<SeenMark> seen = seen_by(view.camera, distance_in(view.map), request_->view);
-  for (SeenMark& mark : seen)
-    for (PixelPoint& p : mark.points)
-      p = {p.x * picture_.width_px / view.camera.camera.width_px,
-           p.y * picture_.height_px / view.camera.camera.height_px};
-  return seen;
-}
-
-// The photograph that shows what the free camera has at a point.
-Picture ViewPictures::spot_of(const PictureRequest& request) {
-  const RayLimits& limits = training_.session().limits;
-  const Camera& camera = camera_.camera;
-  const auto pixel_in = [](double share, std::int32_t length) {
-    return std::clamp(static_cast<std::int32_t>(share * length), 0, length - 1);
-  };
-  const PixelPlace pixel{pixel_in(request.at->x, camera.width_px), pixel_in(request.at->y, camera.height_px)};
-  const float distance = surface_distances(*training_.session().pipeline, camera_, limits, {{pixel}})[0];
-  Picture answer;
-  answer.meets_surface = distance > 0;
-  const double scale_m = distance > 0 ? static_cast<double>(distance) : limits.far_m / 4;
-  answer.nearest_view = nearest_view(loop_.pooled(), camera_.world_from_camera, scale_m);
-  if (distance > 0) answer.spot = best_spot(loop_.pooled(), point_at(camera_, limits, pixel, scale_m), tolerance_m());
-  return answer;
+std::vector<SeenMark> ViewPictures::seen_by(int view, const SurfaceMap& map) const {
+  return marks_seen(marks_, map, view, loop_.views(), training_.session().limits, tolerance_m());
 }
 
 bool ViewPictures::refine(double budget_s) {
@@ -222,14 +163,6 @@ void ViewPictures::render_rows(double budget_s) {
     const RenderedFrame frame = render_frame(*session.pipeline, band, session.limits, session.plan.class_of_logit);
     const double rays = static_cast<double>(width) * band.camera.height_px;
     rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays / std::max(seconds_since(begun), 1e-6);
-    for (std::size_t i = 0; request_->camera && i < frame.depth_m.size(); ++i) {
-      const double x = (static_cast<double>(i % static_cast<std::size_t>(width)) + 0.5 - band.camera.cx) /
-                       band.camera.fx,
-                   y = (static_cast<double>(i / static_cast<std::size_t>(width)) + 0.5 - band.camera.cy) /
-                       band.camera.fy;
-      const float z = frame.opacity[i] < kSurfaceOpacity ? 0 : frame.depth_m[i] / frame.opacity[i];
-      distance_m_.push_back(z * static_cast<float>(std::sqrt(x * x + y * y + 1)));
-    }
     if (request_->color)
       for (const float value : frame.rgb) picture_.rgb.push_back(static_cast<std::uint8_t>(std::lround(value * 255)));
     for (std::size_t i = 0; shows_labels_ && i < frame.label.size(); ++i) {
@@ -247,10 +180,9 @@ void ViewPictures::render_rows(double budget_s) {
 
 namespace {
 
-constexpr double kSameDistance = 0.03;      // of the distance
-constexpr std::size_t kMarkPlaces = 8;      // of a stroke or an outline
-constexpr std::size_t kMostSeen = 1000;     // clicks of other views in one picture
-constexpr std::int32_t kSpotMargin_px = 2;  // a place at the border of a photograph is clicked badly
+constexpr double kSameDistance = 0.03;   // of the distance
+constexpr std::size_t kMarkPlaces = 8;   // of a stroke or an outline
+constexpr std::size_t kMostSeen = 1000;  // clicks of other views in one picture
 
 PixelPlace pixel_at(const Camera& camera, PixelPoint p) {
   return {std::clamp(static_cast<std::int32_t>(p.x), 0, camera.width_px - 1),
@@ -265,25 +197,19 @@ std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place) {
   return PixelPoint{hit->u, hit->v};
 }
 
-SurfaceDistance distance_in(const SurfaceMap& map) {
-  return [&map](std::int32_t column, std::int32_t row) {
-    return map.empty() ? 0.0 : static_cast<double>(map.at(column, row));
-  };
-}
-
-std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceDistance& distance, Vec3d place,
-                                  double tolerance_m) {
+std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceMap& map, Vec3d place, double tolerance_m) {
   const std::optional<PixelPoint> at = pixel_of(camera, place);
-  if (!at) return at;
+  if (!at || map.empty()) return std::nullopt;
   const PixelPlace pixel = pixel_at(camera.camera, *at);
-  const double surface = distance(pixel.column, pixel.row), own = length(place - camera.world_from_camera.t);
+  const double surface = static_cast<double>(map.at(pixel.column, pixel.row)),
+               own = length(place - camera.world_from_camera.t);
   const bool is_seen = surface > 0 && std::abs(own - surface) <= std::max(tolerance_m, kSameDistance * surface);
   return is_seen ? at : std::nullopt;
 }
 
-std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const RayCamera& camera,
-                                 const SurfaceDistance& distance, int own, std::span<const PoolView> views,
-                                 const RayLimits& limits, double tolerance_m) {
+std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const SurfaceMap& map, int own,
+                                 std::span<const PoolView> views, const RayLimits& limits, double tolerance_m) {
+  const RayCamera& camera = views[static_cast<std::size_t>(own)].camera;
   std::vector<SeenMark> seen;
   for (auto mark = marks.rbegin(); mark != marks.rend() && seen.size() < kMostSeen; ++mark) {
     if (mark->class_index == kVoid) continue;  // what is ignored is so in its own view alone
@@ -297,45 +223,12 @@ std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const
       const PixelPlace pixel{static_cast<std::int32_t>(p.x), static_cast<std::int32_t>(p.y)};
       const double way = static_cast<double>(view->map.at(pixel.column, pixel.row));
       if (!(way > 0)) continue;
-      if (const auto at = seen_at(camera, distance, point_at(view->camera, limits, pixel, way), tolerance_m))
+      if (const auto at = seen_at(camera, map, point_at(view->camera, limits, pixel, way), tolerance_m))
         points.push_back(*at);
     }
     if (!points.empty()) seen.push_back({mark->id, std::move(points)});
   }
   return seen;
-}
-
-std::optional<Spot> best_spot(std::span<const PoolView> views, Vec3d place, double tolerance_m) {
-  std::optional<Spot> best;
-  double most = 0;
-  for (std::size_t v = 0; v < views.size(); ++v) {
-    const RayCamera& camera = views[v].camera;
-    const auto at = seen_at(camera, distance_in(views[v].map), place, tolerance_m);
-    if (!at) continue;
-    const double w = camera.camera.width_px, h = camera.camera.height_px;
-    const double inside = std::min(std::min(at->x, w - at->x), std::min(at->y, h - at->y));
-    if (inside < kSpotMargin_px) continue;
-    const double middle = 1 - 0.5 * (std::pow(2 * at->x / w - 1, 2) + std::pow(2 * at->y / h - 1, 2)) / 2;
-    const double worth = middle * camera.camera.fx / w / length(place - camera.world_from_camera.t);
-    if (worth <= most) continue;
-    most = worth;
-    best = Spot{static_cast<int>(v), *at};
-  }
-  return best;
-}
-
-int nearest_view(std::span<const PoolView> views, const Pose& world_from_camera, double scale_m) {
-  int nearest = -1;
-  double least = INFINITY;
-  for (std::size_t v = 0; v < views.size(); ++v) {
-    const Pose& pose = views[v].camera.world_from_camera;
-    const double apart =
-        length(pose.t - world_from_camera.t) / scale_m + 1 - dot(pose.axis(2), world_from_camera.axis(2));
-    if (apart >= least) continue;
-    least = apart;
-    nearest = static_cast<int>(v);
-  }
-  return nearest;
 }
 
 namespace {

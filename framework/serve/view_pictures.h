@@ -1,8 +1,7 @@
-// Pictures for whoever looks: labels of views from their surfaces, free cameras by rendering, in pieces between steps.
+// Pictures for whoever looks: labels of views from their surfaces, or rendered, in pieces between steps.
 #pragma once
 
 #include <cstdint>
-#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -20,40 +19,26 @@ namespace semfield {
 /// Image point where a camera sees a world position; nothing behind the camera or outside of its image.
 std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place);
 
-/// Distance to the surface along the ray of a pixel, 0 where the ray meets nothing.
-using SurfaceDistance = std::function<double(std::int32_t column, std::int32_t row)>;
-/// Of a map; 0 everywhere for one that is not made yet.
-SurfaceDistance distance_in(const SurfaceMap& map);
+/// pixel_of() where the place lies on the surface that the camera sees there by its map, up to `tolerance_m` or 3 % of
+/// the distance; nothing where something hides it, or where the map is not made yet.
+std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceMap& map, Vec3d place, double tolerance_m);
 
-/// pixel_of() where the place lies on the surface that the camera sees there, up to `tolerance_m` or 3 % of the
-/// distance; nothing where something hides it.
-std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceDistance& distance, Vec3d place,
-                                  double tolerance_m);
-
-/// The latest of the clicks, at most 1,000, that a camera sees; those of view `own` are left out (-1: none). They lie
-/// on the surface of the maps of their views; a stroke has up to eight places there.
-std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const RayCamera& camera,
-                                 const SurfaceDistance& distance, int own, std::span<const PoolView> views,
-                                 const RayLimits& limits, double tolerance_m);
-
-/// The view that shows a place of the surface best: from near, in its middle, with nothing before it. Views without a
-/// map see nothing.
-std::optional<Spot> best_spot(std::span<const PoolView> views, Vec3d place, double tolerance_m);
-/// The view whose camera is like this one: near it, and with the same direction. `scale_m`: a way that counts as much
-/// as a turn of 90 degrees.
-int nearest_view(std::span<const PoolView> views, const Pose& world_from_camera, double scale_m);
+/// The latest of the clicks, at most 1,000, that view `own` sees by `map`; its own are left out. They lie on the
+/// surface of the maps of their views; a stroke has up to eight places there.
+std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const SurfaceMap& map, int own,
+                                 std::span<const PoolView> views, const RayLimits& limits, double tolerance_m);
 
 /// Made by the thread that trains.
 class ViewPictures {
  public:
   ViewPictures(Trainer& training, LabelLoop& loop);
 
-  /// Begins a picture; what was under way is forgotten. Throws Error(usage) for a view or camera that cannot be.
+  /// Begins a picture; what was under way is forgotten. Throws Error(usage) for a view that is not there.
   void begin(const PictureRequest& request);
   /// Works on it for about this long; the picture once it is done.
   std::optional<Picture> work(double budget_s);
 
-  /// Clicks that pictures of other views and of free cameras show.
+  /// Clicks that pictures of other views show.
   void set_marks(std::vector<Annotations::Mark> marks) { marks_ = std::move(marks); }
 
   /// A view that is looked at gets a surface of its own at (nearly) every pixel, for about this long. True when the
@@ -68,12 +53,9 @@ class ViewPictures {
     bool complete() const { return done == static_cast<std::int64_t>(map.distance_m.size()); }
   };
   Picture labels_of_view(const PictureRequest& request);
-  Picture spot_of(const PictureRequest& request);
-  std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) const;
-  std::vector<SeenMark> seen_in_picture();
+  std::vector<SeenMark> seen_by(int view, const SurfaceMap& map) const;
   // How far from the surface what lies on it may seem to be.
   double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
-  RayCamera camera_for(const PictureRequest& request) const;
   void render_rows(double budget_s);
 
   Trainer& training_;
@@ -85,8 +67,7 @@ class ViewPictures {
   Picture picture_;
   std::int32_t rows_done_ = 0;
   std::vector<Annotations::Mark> marks_;
-  std::vector<float> distance_m_;  // [rows done * width] of a free camera's picture
-  bool shows_labels_ = false;      // something was learned when it began; all of its rows have labels, or none
+  bool shows_labels_ = false;  // something was learned when it began; all of its rows have labels, or none
   double spent_s_ = 0;
 };
 

@@ -427,17 +427,18 @@ void fuzz_class_rules(std::string_view bytes) {
 void fuzz_page(std::string_view bytes) {
   accepted([&] {
     const PictureRequest r = app::parse_picture_request(bytes);
-    promise((r.view >= 0) != r.camera.has_value(), "a picture of a view and of a camera");
-    promise(r.at.has_value() != (r.color || r.labels || r.entropy), "neither a map nor a point, or both");
-    promise(!r.at || (r.camera && r.at->x >= 0 && r.at->x <= 1 && r.at->y >= 0 && r.at->y <= 1), "a point outside");
-    promise(r.most_px == 0 || (r.most_px >= 16 && r.most_px <= app::kMostPictureSide), "a picture of a wrong size");
-    if (!r.camera) return;
-    const Pose& pose = r.camera->world_from_camera;
+    promise(r.view >= 0, "a picture of no view");
+    promise(r.color || r.labels || r.entropy, "a picture without a map");
+  });
+  accepted([&] {
+    const app::Json root = app::parse_request(bytes, {"run", "camera", "width", "height", "map"});
+    const app::FreeCamera camera = app::read_request_camera(app::kRequest.at(root, "camera"));
+    const Pose& pose = camera.world_from_camera;
     for (int a = 0; a < 3; ++a) {
       promise(std::abs(dot(pose.axis(a), pose.axis(a)) - 1) <= 1e-3, "a rotation that is none");
       promise(std::abs(pose.t[a]) <= 1e6, "a camera that is nowhere");
     }
-    promise(r.camera->fov_deg >= 1 && r.camera->fov_deg <= 170, "a field of view that is none");
+    promise(camera.fov_deg >= 1 && camera.fov_deg <= 170, "a field of view that is none");
   });
   accepted([&] { (void)app::parse_export_request(bytes); });
   accepted([&] { promise(app::query_number(bytes, "view", 3, 100) <= 100, "a number above its bound"); });

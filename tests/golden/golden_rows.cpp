@@ -349,7 +349,7 @@ void print_labelling(Registry& registry, const TempDir& dir) {
     std::optional<Picture> picture;
     while (!picture) picture = run.pictures().work(1e9);
     picture->render_ms = 0;
-    print(full ? "session/page_picture" : "session/page_labels", crc(app::picture_bytes(*picture, classes, false)));
+    print(full ? "session/page_picture" : "session/page_labels", crc(app::picture_bytes(*picture, classes)));
   }
 #else
   std::printf("session/page_picture -\nsession/page_labels -\n");

@@ -565,13 +565,13 @@ TEST(LabelSession, WarningsReachThePage) {
   EXPECT_HAS(notes.front(), "other images");
 }
 
-// Pictures that a labelling session makes between its steps: of views, of free cameras, for several who look.
+// Pictures that a labelling session makes between its steps, for several who look.
 
-PictureRequest of_camera(const FreeCamera& camera, const std::string& client) {
-  return PictureRequest{.client = client, .camera = camera, .most_px = 48, .color = true};
+PictureRequest rendered(int view, const std::string& client) {
+  return PictureRequest{.client = client, .view = view, .color = true};
 }
 
-TEST_F(PlainSession, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
+TEST_F(PlainSession, ViewsAreDrawnWhileItTrains) {
   run.apply({run.add("1", "wall"), run.click("2", 0, "wall", {24.5, 5.5})});
   run.start();
   const std::uint64_t overlay = run.settled()->overlay_revision;
@@ -582,12 +582,12 @@ TEST_F(PlainSession, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
   EXPECT_EQ(labels.entropy.size(), labels.label.size());
   EXPECT_TRUE(labels.rgb.empty());
   EXPECT_GE(labels.overlay_revision, overlay);
-  const Picture seen = run.session.picture(of_camera(run.session.camera_of(3), "a"));
+  const Picture seen = run.session.picture(rendered(3, "a"));
   EXPECT_EQ(seen.width_px, 48);
   EXPECT_EQ(seen.height_px, 36);
   EXPECT_EQ(seen.rgb.size(), 3u * 48 * 36);
   EXPECT_EQ(seen.label.size(), 48u * 36u);
-  // The camera of a view sees what its photograph shows.
+  // It is what the photograph shows.
   const StoredFrame& photo = run.session.opened().scene.frames[run.session.frame_of(3)];
   double wrong = 0;
   for (std::size_t i = 0; i < seen.rgb.size(); ++i) wrong += std::abs(int{seen.rgb[i]} - int{photo.rgb[i]});
@@ -597,10 +597,8 @@ TEST_F(PlainSession, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
 }
 
 TEST_F(PlainSession, ALaterRequestOfTheSameClientTakesThePlace) {
-  const FreeCamera camera = run.session.camera_of(0);
   const auto ask = [&](const std::string& client) {
-    return std::async(std::launch::async,
-                      [this, camera, client] { return run.session.picture(of_camera(camera, client)); });
+    return std::async(std::launch::async, [this, client] { return run.session.picture(rendered(0, client)); });
   };
   // Nobody trains yet, so both wait: the earlier one gets its response when the later one comes.
   std::future<Picture> one = ask("a"), two = ask("a"), other = ask("b");
@@ -624,7 +622,7 @@ TEST_F(PlainSession, ALaterRequestOfTheSameClientTakesThePlace) {
 // Nobody trains in these two, so whoever gets a response did not wait for a picture.
 TEST_F(PlainSession, OneThatNobodyWantsAnyMoreIsGivenUp) {
   std::atomic<int> looks{0};
-  const Picture none = run.session.picture(of_camera(run.session.camera_of(0), "a"), [&] { return ++looks == 3; });
+  const Picture none = run.session.picture(rendered(0, "a"), [&] { return ++looks == 3; });
   EXPECT_TRUE(none.stale);
   EXPECT_EQ(looks, 3);
 }
@@ -634,7 +632,7 @@ TEST_F(PlainSession, OfTooManyThatWaitTheOldestIsStale) {
   std::atomic<int> answered{0};
   for (int k = 0; k < 40; ++k)
     waiting.push_back(std::async(std::launch::async, [&, k] {
-      const Picture picture = run.session.picture(of_camera(run.session.camera_of(0), "c" + std::to_string(k)));
+      const Picture picture = run.session.picture(rendered(0, "c" + std::to_string(k)));
       ++answered;
       return picture;
     }));
@@ -648,18 +646,17 @@ TEST_F(PlainSession, OfTooManyThatWaitTheOldestIsStale) {
 TEST_F(PlainSession, AWrongRequestIsRefusedAndTheSessionGoesOn) {
   run.start();
   EXPECT_HAS(error_of([&] { run.session.picture({.client = "a", .view = 1000}); }), "view 1000 is none of the 12");
-  EXPECT_FALSE(run.session.picture(of_camera(run.session.camera_of(0), "a")).stale);
+  EXPECT_FALSE(run.session.picture(rendered(0, "a")).stale);
   EXPECT_TRUE(run.session.state()->failure.empty());
 }
 
 TEST_F(PlainSession, AfterTheEndTheyAreStale) {
-  std::future<Picture> waits =
-      std::async(std::launch::async, [&] { return run.session.picture(of_camera(run.session.camera_of(0), "a")); });
+  std::future<Picture> waits = std::async(std::launch::async, [&] { return run.session.picture(rendered(0, "a")); });
   run.session.stop();
   run.start();
   EXPECT_TRUE(waits.get().stale);
   run.stop();
-  EXPECT_TRUE(run.session.picture(of_camera(run.session.camera_of(0), "b")).stale);
+  EXPECT_TRUE(run.session.picture(rendered(0, "b")).stale);
   EXPECT_EQ(run.ended_with, "");
 }
 
@@ -847,14 +844,13 @@ TEST_F(PreparedRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
   EXPECT_EQ(state().step, before + 2) << "a step at a time on a CPU";
 }
 
-// Pictures of views and of free cameras, made in pieces: their sizes, what they show, and requests that are refused.
+// Pictures of views, made in pieces: their sizes, what they show, and requests that are refused.
 
 struct PicturedRoom : ::testing::Test, LoopedRoom {
-  PicturedRoom() : LoopedRoom(60) {}
+  explicit PicturedRoom(const std::string& scene = "analytic_room") : LoopedRoom(60, quick_options(), scene) {}
 
   ViewPictures pictures{*training, *loop};
 
-  FreeCamera camera() const { return {loop->views()[1].camera.world_from_camera, 60}; }
   Picture made(const PictureRequest& request, double budget_s = 1e9) {
     pictures.begin(request);
     std::optional<Picture> picture;
@@ -867,10 +863,15 @@ struct PicturedRoom : ::testing::Test, LoopedRoom {
   }
 };
 
+// Too large for one piece.
+struct LargeRoom : PicturedRoom {
+  LargeRoom() : PicturedRoom("analytic_room, width_px: 144, height_px: 108") {}
+};
+
 PictureRequest of_view(int view) { return PictureRequest{.view = view}; }
 
-PictureRequest view_pictures_of_camera(const FreeCamera& camera, std::int32_t most_px = 0) {
-  return PictureRequest{.camera = camera, .most_px = most_px, .color = true, .entropy = true, .full = true};
+PictureRequest whole_of_view(int view) {
+  return PictureRequest{.view = view, .color = true, .entropy = true, .full = true};
 }
 
 void expect_whole(const Picture& picture, bool rgb, bool label, bool entropy) {
@@ -901,21 +902,24 @@ TEST_F(PicturedRoom, AViewsLabelsAreThoseOfTheLoop) {
   expect_whole(made(request), false, false, true);
 }
 
-TEST_F(PicturedRoom, AFreeCameraIsRenderedInPieces) {
+TEST_F(LargeRoom, AViewIsRenderedInPieces) {
   loop->learn(clicks(8));
-  const Picture whole = made(view_pictures_of_camera(this->camera()));
-  EXPECT_EQ(whole.width_px, 48);
-  EXPECT_EQ(whole.height_px, 36);
+  const Picture whole = made(whole_of_view(1));
+  EXPECT_EQ(whole.width_px, 144);
+  EXPECT_EQ(whole.height_px, 108);
   expect_whole(whole, true, true, true);
-  const Picture pieces = made(view_pictures_of_camera(this->camera()), 0);
+  const Picture pieces = made(whole_of_view(1), 0);
   EXPECT_EQ(pieces.rgb, whole.rgb);
   EXPECT_EQ(pieces.label, whole.label);
   EXPECT_EQ(pieces.entropy, whole.entropy);
   const auto named = std::count_if(whole.label.begin(), whole.label.end(), [](std::int16_t l) { return l >= 0; });
-  EXPECT_GT(named, 48 * 36 / 2);
-  PictureRequest request = of_view(1);  // the same camera, but with its own focal length
-  request.color = request.full = true;
-  expect_whole(made(request), true, true, false);
+  EXPECT_GT(named, 144 * 108 / 2);
+  PictureRequest request = whole_of_view(1);
+  request.full = false;
+  const Picture quick = made(request);  // as large as can be had soon
+  EXPECT_LE(quick.width_px, 144);
+  EXPECT_GE(quick.width_px, 48);
+  expect_whole(quick, true, true, true);
 }
 
 TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
@@ -930,91 +934,31 @@ TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
   };
   EXPECT_LACKS(ids(made(of_view(2))), "other") << "a view's own clicks are in the state";
   EXPECT_LACKS(ids(made(of_view(1))), "own");
-  PictureRequest same = view_pictures_of_camera({loop->views()[2].camera.world_from_camera, 60});
-  const RayCamera& camera = loop->views()[2].camera;
-  same.camera->fov_deg = 2 * std::atan(camera.camera.width_px / (2 * camera.camera.fx)) * 57.29577951308232;
-  same.labels = true;
-  const Picture flown = made(same);
-  const auto other =
-      std::find_if(flown.seen.begin(), flown.seen.end(), [](const SeenMark& mark) { return mark.id == "other"; });
-  ASSERT_NE(other, flown.seen.end()) << "a free camera that looks as view 2 does";
-  EXPECT_NEAR(other->points[0].x, 24.5 * flown.width_px / 48, 1);
-  EXPECT_NEAR(other->points[0].y, 18.5 * flown.height_px / 36, 1);
-}
-
-TEST_F(PicturedRoom, APointOfAFreeCameraIsFoundInAPhotograph) {
-  PictureRequest request{.camera = this->camera(), .at = PixelPoint{0.5, 0.5}, .labels = false};
-  const Picture answer = made(request);
-  EXPECT_TRUE(answer.rgb.empty() && answer.label.empty() && answer.entropy.empty());
-  EXPECT_TRUE(answer.meets_surface);
-  EXPECT_EQ(answer.nearest_view, 1) << "the camera stands where view 1 was taken";
-  ASSERT_TRUE(answer.spot.has_value());
-  const RayCamera& seen = loop->views()[answer.spot->view].camera;
-  const PixelPlace there{static_cast<std::int32_t>(answer.spot->at.x), static_cast<std::int32_t>(answer.spot->at.y)};
-  const Vec3d middle = hit_at(loop->views()[1].camera, {24, 18}).point;
-  EXPECT_LT(length(hit_at(seen, there).point - middle), 0.5);
-  request.camera->world_from_camera.t = {1e6, -1e6, 1e6};
-  const Picture nothing = made(request);
-  EXPECT_FALSE(nothing.meets_surface);
-  EXPECT_FALSE(nothing.spot.has_value());
-  EXPECT_GE(nothing.nearest_view, 0);
-}
-
-TEST_F(PicturedRoom, BoundsOfEveryNumberAreTaken) {
-  loop->learn(clicks(8));
-  for (const double fov : {1.0, 170.0}) {
-    FreeCamera camera = this->camera();
-    camera.fov_deg = fov;
-    const Picture picture = made(view_pictures_of_camera(camera, 48));
-    EXPECT_EQ(picture.width_px, 48);
-    EXPECT_EQ(picture.height_px, 36);
-    expect_whole(picture, true, true, true);
+  // Rendered or not, and whatever the size: in pixels of the picture.
+  for (const bool full : {false, true}) {
+    PictureRequest request = of_view(1);
+    request.color = request.full = full;
+    const Picture picture = made(request);
+    EXPECT_LACKS(ids(picture), "own");
+    for (const SeenMark& mark : picture.seen)
+      for (const PixelPoint& p : mark.points) {
+        EXPECT_GE(std::min(p.x, p.y), 0);
+        EXPECT_LE(p.x, picture.width_px);
+        EXPECT_LE(p.y, picture.height_px);
+      }
   }
-  PictureRequest moving = view_pictures_of_camera(this->camera(), 4096);
-  moving.full = false;
-  const Picture quick = made(moving);  // a camera that moves gets what can be had at once
-  EXPECT_LT(quick.width_px, 4096);
-  EXPECT_GE(quick.width_px, 48);
-  expect_whole(quick, true, true, true);
-  FreeCamera away = this->camera();  // far outside the room: there is nothing to see, and no error
-  away.world_from_camera.t = {1e6, -1e6, 1e6};
-  const Picture nothing = made(view_pictures_of_camera(away, 64));
-  expect_whole(nothing, true, true, true);
-  EXPECT_EQ(nothing.label, std::vector<std::int16_t>(nothing.label.size(), kVoid));
 }
 
 TEST_F(PicturedRoom, WrongRequestsAreRefusedWithASentence) {
-  const int views = static_cast<int>(loop->views().size());
-  EXPECT_HAS(refusal(of_view(views)), "view 9 is none of the 9");
-  EXPECT_HAS(refusal(of_view(-1)), "neither a view nor a camera");
-  PictureRequest both = view_pictures_of_camera(this->camera());
-  both.view = 2;
-  EXPECT_HAS(refusal(both), "both a view and a camera");
-  for (const std::int32_t side : {-1, 1, 47, 4097, std::numeric_limits<std::int32_t>::max()})
-    EXPECT_HAS(refusal(view_pictures_of_camera(this->camera(), side)), "most_px");
-  for (const double fov : {0.0, 0.5, 171.0, std::nan("")}) {
-    FreeCamera camera = this->camera();
-    camera.fov_deg = fov;
-    EXPECT_HAS(refusal(view_pictures_of_camera(camera)), "field of view");
-  }
-  for (const double bad : {std::nan(""), HUGE_VAL}) {
-    FreeCamera camera = this->camera();
-    camera.world_from_camera.t.y = bad;
-    EXPECT_HAS(refusal(view_pictures_of_camera(camera)), "not finite");
-    camera = this->camera();
-    camera.world_from_camera.r[1][2] = bad;
-    EXPECT_HAS(refusal(view_pictures_of_camera(camera)), "not finite");
-  }
+  EXPECT_HAS(refusal(of_view(static_cast<int>(loop->views().size()))), "view 9 is none of the 9");
+  EXPECT_HAS(refusal(of_view(-1)), "view -1 is none of the 9");
   EXPECT_FALSE(pictures.work(1).has_value()) << "nothing is under way";
 }
 
 // The first click, or the last undo, may come while rows of a picture are made.
-TEST_F(PicturedRoom, APictureIsWholeWhateverIsLearnedMeanwhile) {
+TEST_F(LargeRoom, APictureIsWholeWhateverIsLearnedMeanwhile) {
   for (const bool click : {true, false}) {
-    PictureRequest request = view_pictures_of_camera(this->camera(), 4096);
-    request.camera->fov_deg = 100;
-    request.most_px = 96;
-    pictures.begin(request);
+    pictures.begin(whole_of_view(1));
     ASSERT_FALSE(pictures.work(0).has_value()) << "some rows are left";
     loop->learn(click ? clicks(6) : std::vector<LabelledPixels>());
     std::optional<Picture> picture;

@@ -73,10 +73,11 @@ struct LoopedRoom {
   std::unique_ptr<Trainer> training;
   std::unique_ptr<LabelLoop> loop;
 
-  explicit LoopedRoom(std::int64_t steps = 150, const LabelLoopOptions& options = quick_options()) {
+  explicit LoopedRoom(std::int64_t steps = 150, const LabelLoopOptions& options = quick_options(),
+                      const std::string& scene = "analytic_room") {
     Registry& registry = testing_train::all_plugins();
-    training =
-        std::make_unique<Trainer>(run_config_of(parse_config_text(room_config(), "test.yaml"), registry), registry);
+    training = std::make_unique<Trainer>(run_config_of(parse_config_text(room_config(scene), "test.yaml"), registry),
+                                         registry);
     loop = std::make_unique<LabelLoop>(*training, training->session().drawn_frames(), options);
     train(steps);
   }

@@ -465,8 +465,7 @@ TEST_F(LearnedRoom, AMapIsTheSameForAnyThreadsAndOfAnyStride) {
   EXPECT_TRUE(SurfaceMap().empty());
 }
 
-// Places of the surface as cameras see them: the inverse of a ray, what is hidden, clicks of other views, the best
-// photograph.
+// Places of the surface as cameras see them: the inverse of a ray, what is hidden, clicks of other views.
 
 constexpr double kTolerance_m = 0.05;
 
@@ -509,8 +508,7 @@ TEST(SurfaceSight, AClickIsSeenInOtherViewsWhereNothingHidesIt) {
   int seen = 0, hidden = 0;
   for (int v = 1; v < std::ssize(room.views); ++v) {
     const PoolView& view = room.views[v];
-    const std::vector<SeenMark> found =
-        marks_seen(marks, view.camera, distance_in(view.map), v, room.views, room_limits(), kTolerance_m);
+    const std::vector<SeenMark> found = marks_seen(marks, view.map, v, room.views, room_limits(), kTolerance_m);
     for (const Annotations::Mark& m : marks) {
       const auto own = std::find_if(found.begin(), found.end(), [&](const SeenMark& s) { return s.id == m.id; });
       if (m.frame == v) {
@@ -543,9 +541,7 @@ TEST(SurfaceSight, PlacesFollowMapsAndMarks) {
   SeenRoom room(1);
   const PoolView& view = room.views[1];
   std::vector<Annotations::Mark> marks;
-  const auto seen = [&] {
-    return marks_seen(marks, view.camera, distance_in(view.map), 1, room.views, room_limits(), kTolerance_m);
-  };
+  const auto seen = [&] { return marks_seen(marks, view.map, 1, room.views, room_limits(), kTolerance_m); };
   for (double x = 2.5; x < 46; x += 4) marks.push_back(mark("x" + std::to_string(x), 0, {{x, 20.5}}));
   const std::size_t first = seen().size();
   ASSERT_GT(first, 0u);
@@ -557,21 +553,6 @@ TEST(SurfaceSight, PlacesFollowMapsAndMarks) {
   room.views[0].map = {};
   marks[0].class_index = 0;
   EXPECT_TRUE(seen().empty()) << "a view without a map";
-}
-
-TEST(SurfaceSight, TheBestPhotographShowsThePlace) {
-  SeenRoom room(1);
-  for (const PixelPlace pixel : {PixelPlace{24, 18}, {10, 30}, {40, 8}}) {
-    const Vec3d place = place_at(room.views[2].camera, pixel);
-    const auto spot = best_spot(room.views, place, kTolerance_m);
-    ASSERT_TRUE(spot.has_value());
-    const RayCamera& camera = room.views[spot->view].camera;
-    const PixelPlace there{static_cast<std::int32_t>(spot->at.x), static_cast<std::int32_t>(spot->at.y)};
-    EXPECT_LT(length(place_at(camera, there) - place), 0.35) << spot->view;
-  }
-  EXPECT_FALSE(best_spot(room.views, {100, 100, 100}, kTolerance_m).has_value()) << "outside of the room";
-  for (int v = 0; v < std::ssize(room.views); ++v)
-    EXPECT_EQ(nearest_view(room.views, room.views[v].camera.world_from_camera, 1), v);
 }
 
 // Places of clicks and strokes in the pool, the pixels that they mark, and coarse labels brought to a photograph.

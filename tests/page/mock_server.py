@@ -193,7 +193,6 @@ class Room:
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
         self.polls = 0
-        self.flights = []  # sizes requested by the free camera, with whether in full
 
     def touch(self):
         with self.changed:
@@ -267,16 +266,6 @@ class Room:
                 out.append({"id": mark["id"], "points": [at]})
         return out
 
-    def spot(self, camera, at):
-        """The response to a question about a point of a free camera's picture."""
-        width, height = self.size
-        place = place_at(camera, width, height, at[0] * width, at[1] * height)
-        trained = range(len(self.frames) - self.held_out)
-        found = [(k, pixel_of(self.cameras[k], width, height, place)) for k in trained]
-        found = [(k, p) for k, p in found if p and is_seen(self.cameras[k], place) and "hidden" not in self.faults]
-        near = min(trained, key=lambda k: math.dist(self.cameras[k]["position"], camera["position"]))
-        return {"spot": {"view": found[0][0], "at": found[0][1]} if found else None, "meets_surface": "hidden" not in self.faults, "nearest_view": near}
-
     def apply(self, event):
         if any(e["id"] == event["id"] for e in self.events):
             return False
@@ -344,20 +333,12 @@ class Room:
         classes = self.classes(self.alive(self.events))[0]
         known = self.learned(marks)
         begin = time.time()
-        if "at" in wish:
-            return b"".join(struct.pack("<I", len(part)) + part for part in (json.dumps(self.spot(wish["camera"], wish["at"])).encode(), b"", b"", b""))
-        if "camera" in wish:
-            self.flights.append((wish["most_px"], wish["full"]))
-            width = min(wish["most_px"], 160)
-            height = width * 3 // 4
-            rows, objects = render(wish["camera"], width, height)
-        else:
-            (width, height), (rows, objects) = self.size, self.view(wish["view"])
+        (width, height), (rows, objects) = self.size, self.view(wish["view"])
         other = known[min(known)] if known else -1
         table = bytes(known.get(v, other) + 1 for v in range(256))
         doubt = bytes((40 if v in known else 220) if known else 128 for v in range(256))
         head = {"width": width, "height": height, "overlay_revision": self.overlay[0], "render_ms": 1000 * (time.time() - begin), "stale": False,
-                "marks": self.seen(marks, wish.get("camera") or self.cameras[wish["view"]], (width, height), wish.get("view", -1))}
+                "marks": self.seen(marks, self.cameras[wish["view"]], (width, height), wish["view"])}
         parts = [json.dumps(head).encode(), png(width, height, rows, 2) if wish.get("color") else b"",
                  png(width, height, [r.translate(table) for r in objects], 3, [[0, 0, 0]] + [c["color"] for c in classes]) if wish.get("labels") else b"",
                  png(width, height, [r.translate(doubt) for r in objects], 0) if wish.get("entropy") else b""]
@@ -444,8 +425,6 @@ class Handler(http.server.BaseHTTPRequestHandler):
             scale = 1 if 0 < most <= 480 else room.photo_scale
             named = query.get("photo") == f"{view}-{room.turned}"
             self.answer(photo(view, len(room.cameras), *room.size, scale, room.turned), "image/png", cache="max-age=600, immutable" if named else "no-store")
-        elif path == "camera":
-            self.answer(room.cameras[int(query["view"])])
         elif path.startswith("export/"):
             self.answer(b"exported", "application/octet-stream")
         else:

@@ -32,10 +32,6 @@ class MockPageCase(page_case.PageCase):
     def message(self, page, text):
         page.wait(f"document.getElementById('messages').textContent.includes({text!r})", f"no message {text!r}: {page.text('#messages')!r}")
 
-    def fly(self, page, *keys):
-        page.keys(*keys)
-        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
-
     def wait_pixel(self, page, x, y, want, why, tolerance=14):
         """Until the page shows about this colour at a pixel of the view."""
         seen = None
@@ -139,24 +135,6 @@ class PageTest(MockPageCase):
         self.assertEqual(page.run("return document.querySelectorAll('#export-list progress').length"), 1)
         self.assertEqual(page.complaints(), [])
 
-    def test_free_camera(self):
-        page = self.served(classes=("sofa",))
-        self.fly(page, "f")
-        page.wait_for(lambda: [size for size, full in self.room.flights if full][-2:], [320, 640], "no full pictures when it stands still")
-        self.assertFalse(self.room.flights[0][1], "the first picture is no quick one")
-        middle = [self.page_of(page, SIZE[0] * k / 8, SIZE[1] / 2) for k in range(1, 8)]
-        before = page.pixels(middle)
-        page.run("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true}))")
-        page.mouse(self.page_of(page, 60, 45), self.page_of(page, 20, 45))
-        page.wait_for(lambda: any(max(abs(a - b) for a, b in zip(p, q)) > 20 for p, q in zip(before, page.pixels(middle))), True,
-                      "looking around changes nothing")
-        self.assertFalse(all(full for _, full in self.room.flights[3:]), "no quick picture while it moves")
-        self.assertFalse(self.room.events, "a drag of the free camera labels")
-        page.keys("escape")
-        page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'")
-        here = self.pixel_of(0, 2)
-        self.wait_pixel(page, *here, self.mixed(0, *here, self.room.view(0)[0][int(here[1])][3 * int(here[0]):][:3]), "the view does not come back")
-
     def test_keyboard_alone(self):
         page = self.served()
         self.dialog(page, "n")
@@ -206,7 +184,7 @@ class PageTest(MockPageCase):
             page.keys("tab")
             name, outline = page.run("const e = document.activeElement; return [e.id || e.getAttribute('data-what') || e.getAttribute('aria-label') || e.tagName, getComputedStyle(e).outlineStyle]")
             reached[name] = outline
-        for name in ("order", "show-photo", "show-entropy", "opacity", "radius", "fly", "help", "canvas", "proposal-skip", "new-class", "labels", "mesh"):
+        for name in ("order", "show-photo", "show-entropy", "opacity", "radius", "help", "canvas", "proposal-skip", "new-class", "labels", "mesh"):
             self.assertIn(name, reached)
         self.assertEqual([name for name, outline in reached.items() if outline == "none" and name != "BODY"], [])
 
@@ -458,10 +436,6 @@ class PageTest(MockPageCase):
                 if (canvas.width * canvas.height < 0.4 * innerWidth * innerHeight) faults.push('the view is small');
                 return faults;""")
             self.assertEqual(faults, [], f"{width}x{height}, touch: {touch}")
-            page.keys("f")
-            page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'true'")
-            self.assertEqual(page.run("return document.getElementById('pad').offsetParent !== null"), touch, "buttons to fly with")
-            page.keys("f")
 
     def test_what_the_program_tells(self):
         page = self.served(views=1, classes=("sofa",))
@@ -498,7 +472,7 @@ class PageTest(MockPageCase):
         self.assertEqual(said, [])
 
 
-# Its tools: polygons, deletion, classes that end, what is ignored, test frames, flight.
+# Its tools: polygons, deletion, classes that end, what is ignored, test frames.
 class ToolsTest(MockPageCase):
     def test_a_polygon(self):
         page = self.served(classes=("sofa", "floor"))
@@ -672,25 +646,6 @@ class ToolsTest(MockPageCase):
         page.hover(x, y)
         page.wait("document.getElementById('readout').textContent.includes('(clicked as sofa in rgb_00)')")
 
-    def test_a_click_in_flight_labels(self):
-        page = self.served(classes=("sofa",), held_out=1)
-        self.fly(page, "f")
-        middle = self.page_of(page, SIZE[0] / 2, SIZE[1] / 2)
-        page.mouse(middle)
-        self.wait_saved(page, 1)
-        event = self.room.events[-1]
-        self.assertNotEqual(event["frame"], "rgb_05")
-        self.message(page, f"Clicked as \"sofa\" in {event['frame']}, which shows this place best")
-        seen = self.room.view(self.room.frames.index(event["frame"]))[1][int(event["points"][0][1])][int(event["points"][0][0])]
-        self.assertEqual(seen, self.room.view(0)[1][SIZE[1] // 2][SIZE[0] // 2], "something else was labelled")
-        self.room.faults.add("hidden")
-        page.mouse((middle[0] + 60, middle[1]))
-        page.wait("document.querySelector('#messages .error')?.textContent.includes('no surface here to label. Fly nearer')")
-        self.assertEqual(self.clicks(), 1)
-        page.keys("v")
-        page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'", "v does not land")
-        self.message(page, "is the nearest photograph")
-
     def test_a_photograph_is_sharp(self):
         self.serve(classes=("sofa",), photo_scale=16)  # 1920 x 1440
         page = self.open()
@@ -718,7 +673,7 @@ class ToolsTest(MockPageCase):
     def test_every_key_says_something(self):
         page = self.served(classes=("sofa",))
         for keys, words in (("7", "No class has the key 7"), ("enter", "Move a cross"), ("delete", "Point at a click"), ("c", "no label under the pointer"),
-                            ("v", "goes from a flight"), ("left", "This is the first view"), ("x", "Eraser:"), ("p", "Polygon:"), ("b", "Brush:"),
+                            ("left", "This is the first view"), ("x", "Eraser:"), ("p", "Polygon:"), ("b", "Brush:"),
                             ("z", "nothing to undo"), ("shift+z", "nothing to redo"), ("g", "There is no guess")):
             page.hover(5, 715)
             page.keys(keys)
@@ -836,23 +791,6 @@ class HasteTest(MockPageCase):
             page.run("return new Promise((resolve) => setTimeout(resolve, 100))")
         self.message(page, "another click has just been proposed")
         self.assertEqual(len(self.room.events), 1)
-
-    def test_clicks_of_a_flight(self):
-        page = self.served(classes=("sofa", "floor"))
-        self.fly(page, "1", "f")
-        self.room.faults.add("picture")  # every answer takes a while
-        self.haste(page, "click(p[0]); key('2'); click(p[1]); click(p[2]); key('Escape');", (60, 45), (70, 45), (50, 45))
-        page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'")
-        self.wait_saved(page, 3)
-        self.assertEqual([name for name, _ in self.labels()], ["sofa", "floor", "floor"])
-        self.fly(page, "f")
-        self.haste(page, "click(p[0]); click(p[1]); key('z');", (60, 55), (70, 55))  # takes back what is still on its way
-        self.message(page, "Undone: the click of the flight")
-        self.wait_saved(page, 4)
-        self.haste(page, "pointer('pointerdown', p[0]); key('Escape'); pointer('pointerup', p[0]);", (60, 45))
-        self.message(page, "Not stored: the picture changed under it")
-        self.assertEqual([e["type"] for e in self.room.events], ["click"] * 4)
-        self.assertEqual(page.complaints(), [])
 
 
 if __name__ == "__main__":

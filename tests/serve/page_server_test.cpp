@@ -172,22 +172,6 @@ TEST_F(ServedPage, MapsThatWereNotAskedForHaveNoBytes) {
   EXPECT_EQ(parts[3], "");
 }
 
-TEST_F(ServedPage, AFreeCameraComesToTheSourceAsItWasSent) {
-  ASSERT_EQ(
-      post("picture", R"({"client":"c","camera":{"position":[1,2,3],"rotation":[0,-1,0,1,0,0,0,0,1],"fov_deg":75},)"
-                      R"("most_px":480,"color":true,"labels":false,"full":true})")
-          .status,
-      200);
-  const PictureRequest& r = source_.requests.at(0);
-  EXPECT_EQ(r.view, -1);
-  EXPECT_EQ(r.camera->world_from_camera.t.z, 3);
-  EXPECT_EQ(r.camera->world_from_camera.r[0][1], -1);
-  EXPECT_EQ(r.camera->fov_deg, 75);
-  EXPECT_EQ(r.most_px, 480);
-  EXPECT_TRUE(r.color && r.full);
-  EXPECT_FALSE(r.labels);
-}
-
 TEST_F(ServedPage, ALaterPictureOfTheSameClientMakesTheOneThatWaitsStale) {
   source_.hold(true);
   const auto ask_as = [&](const char* client) {
@@ -223,35 +207,9 @@ TEST_F(ServedPage, PhotographsMayBeKeptAndShrink) {
     EXPECT_EQ(get(wrong).status, 400) << wrong;
 }
 
-TEST_F(ServedPage, ACameraIsToldAsPicturesAskForIt) {
-  const Json camera = Json::parse(get("camera?view=1").body);
-  EXPECT_EQ(camera["position"], (Json{1.0, 2.0, 4.0}));
-  EXPECT_EQ(camera["rotation"], (Json{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}));
-  const Json request{{"client", "c"}, {"camera", camera}, {"color", true}};
-  EXPECT_EQ(post("picture", request.dump()).status, 200);
-}
-
-TEST_F(ServedPage, APointOfAFreeCameraIsAnsweredByAPhotographThatShowsIt) {
-  const auto ask_at = [&](const char* at) {
-    const Answer answer = post("picture", std::string(R"({"client":"c","at":)") + at +
-                                              R"(,"camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})");
-    EXPECT_EQ(answer.status, 200);
-    return Json::parse(parts_of(answer).at(0));
-  };
-  const Json found = ask_at("[0.25,0.5]");
-  EXPECT_EQ(source_.requests.at(0).at, (PixelPoint{0.25, 0.5}));
-  EXPECT_EQ(found["spot"], (Json{{"view", 0}, {"at", {2.5, 1.5}}}));
-  EXPECT_EQ(found["nearest_view"], 1);
-  const Json hidden = ask_at("[0.75,0]");
-  EXPECT_EQ(hidden["spot"], nullptr);
-  EXPECT_EQ(hidden["meets_surface"], true);
-  EXPECT_EQ(ask_at("[1,1]")["meets_surface"], false);
-}
-
 TEST_F(ServedPage, APictureTellsTheClicksOfOtherViews) {
   const Json head = Json::parse(parts_of(post("picture", R"({"client":"c","view":0})")).at(0));
   EXPECT_EQ(head["marks"], (Json::array({{{"id", "m1"}, {"points", {{0.5, 1.5}, {2.5, 1.5}}}}})));
-  EXPECT_FALSE(head.contains("spot"));
 }
 
 TEST_F(ServedPage, AViewThatIsNotThereIsNamed) {
@@ -292,45 +250,48 @@ std::string refusal(const std::string& json) {
 }
 
 TEST(PictureRequestText, WrongOnesAreNamed) {
-  const std::string good_camera = R"({"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1]})";
   const std::vector<std::pair<std::string, std::string>> rows{
       {"[]", "expected a map, got a list of 0"},
       {"{", "not valid JSON"},
       {"{}", "key 'client' is missing"},
-      {R"({"client":"c"})", "either 'view' or 'camera'"},
-      {R"({"client":"c","view":1,"camera":)" + good_camera + "}", "either 'view' or 'camera'"},
+      {R"({"client":"c"})", "key 'view' is missing"},
       {R"({"client":"a b","view":1})", "'client': expected"},
       {R"({"client":"c","view":-1})", "'view': expected a whole number from 0"},
       {R"({"client":"c","view":1.5})", "'view': expected"},
       {R"({"client":"c","view":1,"view":2})", "key \"view\" is given twice"},
       {R"({"client":"c","veiw":1})", "did you mean 'view'?"},
-      {R"({"client":"c","view":1,"most_px":2049})", "'most_px': expected a whole number from 16 to 2048"},
       {R"({"client":"c","view":1,"color":1})", "'color': expected true or false"},
-      {R"({"client":"c","view":1,"labels":false})", "no map is asked for"},
-      {R"({"client":"c","view":1,"at":[0,0]})", "'at' is a point of a camera's picture"},
-      {R"({"client":"c","at":[0],"camera":)" + good_camera + "}", "'at': expected 2 numbers, got a list of 1"},
-      {R"({"client":"c","at":[0,-0.1],"camera":)" + good_camera + "}", "'at': expected shares of width and height"},
-      {R"({"client":"c","at":[0,1.1],"camera":)" + good_camera + "}", "'at': expected 2 numbers"},
-      {R"({"client":"c","at":[0,1],"labels":true,"camera":)" + good_camera + "}", "'labels' and 'at'"},
-      {R"({"client":"c","camera":7})", "'camera': expected a map"},
-      {R"({"client":"c","camera":{"position":[0,0,0]}})", "'rotation' is missing"},
-      {R"({"client":"c","camera":{"position":[0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})",
-       "'position': expected 3 numbers"},
-      {R"({"client":"c","camera":{"position":[0,0,1e300],"rotation":[1,0,0,0,1,0,0,0,1]}})", "of a size that a scene"},
-      {R"({"client":"c","camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,0.9]}})", "is not a rotation"},
-      {R"({"client":"c","camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,-1]}})", "is not a rotation"},
-      {R"({"client":"c","camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1],"fov_deg":171}})",
-       "degrees from 1"},
-      {R"({"client":"c","camera":{"position":[0,0,0],"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})",
-       "given twice"}};
+      {R"({"client":"c","view":1,"labels":false})", "no map is asked for"}};
   for (const auto& [json, words] : rows) EXPECT_HAS(refusal(json), words) << json << "\n  " << refusal(json);
+}
+
+// As `semfield view` is asked for pictures.
+TEST(CameraOfARequest, WrongOnesAreNamed) {
+  const auto refused = [](const std::string& json) {
+    return error_of(ErrorKind::data, [&] { (void)read_request_camera(parse_request(json, {"camera"})["camera"]); });
+  };
+  const std::vector<std::pair<std::string, std::string>> rows{
+      {R"({"camera":7})", "'camera': expected a map"},
+      {R"({"camera":{"position":[0,0,0]}})", "'rotation' is missing"},
+      {R"({"camera":{"position":[0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})", "'position': expected 3 numbers"},
+      {R"({"camera":{"position":[0,0,1e300],"rotation":[1,0,0,0,1,0,0,0,1]}})", "of a size that a scene"},
+      {R"({"camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,0.9]}})", "is not a rotation"},
+      {R"({"camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,-1]}})", "is not a rotation"},
+      {R"({"camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1],"fov_deg":171}})", "degrees from 1"},
+      {R"({"camera":{"position":[0,0,0],"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})", "given twice"}};
+  for (const auto& [json, words] : rows) EXPECT_HAS(refused(json), words) << json << "\n  " << refused(json);
+  const FreeCamera camera = read_request_camera(parse_request(
+      R"({"position":[1,2,3],"rotation":[0,-1,0,1,0,0,0,0,1],"fov_deg":90})", {"position", "rotation", "fov_deg"}));
+  EXPECT_EQ(camera.world_from_camera.t.z, 3);
+  EXPECT_EQ(camera.world_from_camera.r[0][1], -1);
+  EXPECT_NEAR(camera.rays(64, 48).camera.fx, 32, 1e-9);
 }
 
 TEST(PictureRequestText, LabelsAreTheDefault) {
   const PictureRequest r = parse_picture_request(R"({"client":"c-1_","view":3})");
   EXPECT_EQ(r.view, 3);
   EXPECT_TRUE(r.labels);
-  EXPECT_FALSE(r.color || r.entropy || r.full || r.camera);
+  EXPECT_FALSE(r.color || r.entropy || r.full);
 }
 
 TEST(ExportRequestText, KindsHaveNames) {

@@ -180,12 +180,6 @@ class FakeSource final : public LabelSource {
     p.width_px = 4;
     p.height_px = 3;
     p.overlay_revision = 9;
-    if (request.at) {
-      p.meets_surface = request.at->x < 0.9;
-      p.nearest_view = 1;
-      if (request.at->x < 0.5) p.spot = Spot{0, {2.5, 1.5}};
-      return p;
-    }
     p.seen = {{"m1", {{0.5, 1.5}, {2.5, 1.5}}}};
     if (request.color) p.rgb.assign(36, 128);
     if (request.labels) p.label = {-1, 0, 1, 1, -1, 0, 1, 1, -1, 0, 1, 5};
@@ -198,7 +192,6 @@ class FakeSource final : public LabelSource {
     if (view == 0) return {4, 3, 3, std::vector<std::uint8_t>(36, 90)};
     return {12, 8, 3, std::vector<std::uint8_t>(288, 90)};  // the file's is twice as large as what trains
   }
-  FreeCamera camera_of(int view) const override { return FreeCamera{.world_from_camera = {.t = {1, 2, 3.0 + view}}}; }
   int view_of(int frame) const override { return frame == 7 ? 1 : -1; }
   void save() override { ++saves; }
 

@@ -31,8 +31,6 @@ class Live {
 
   begin(page) {
     this.page = page;
-    byId("film").hidden = false;
-    byId("film").addEventListener("click", () => this.film());
     this.runs.reduce((before, _, run) => before.then(async () => {
       const {facts, mesh} = await this.fine_scene(run);
       page.replace(run, new Layer(page.drawing, facts, mesh));
@@ -126,27 +124,11 @@ class Live {
     return {...after, ids: new Uint16Array(bytes_of(after.ids).buffer)};
   }
 
-  // ---- a video, and newer steps
+  // ---- newer steps
 
-  async film() {
-    const hint = byId("path-hint"), width = Math.min(1280, canvas.width), height = width * canvas.height / canvas.width;
-    try {
-      await this.ask("film", {path: this.page.path_rows(), width: width & ~1, height: height & ~1, fov_deg: this.page.camera.fov_deg()});
-      hint.textContent = "rendering";
-      this.look();
-    } catch (error) {
-      hint.textContent = error.message;
-    }
-  }
   async look() {
     try {
       const state = await (await this.ask("state")).json();
-      const film = state.films.at(-1);
-      if (film) {
-        const link = film.state === "done" ? [made("a", {href: `film/${film.id}/0`, textContent: "video.mp4"}), " is done"] : [`${film.state}: ${film.text}`];
-        byId("path-hint").replaceChildren(...link);
-        if (film.state === "running" || film.state === "waiting") setTimeout(() => this.look(), 500);
-      }
       const newer = state.runs.find((run, i) => run.newest > this.page.layers[i].facts.step);
       if (newer && !this.told_newer) this.note(`Step ${newer.newest} of ${newer.name} is there: load the page again to see it.`);
       this.told_newer = newer !== undefined;

@@ -185,19 +185,17 @@ class Page {
       for (let k = 1; k <= per_leg; ++k) out.push(between(this.views[i - 1], this.views[i], k / per_leg));
     return out;
   }
-  /** 12 numbers for each picture: world_from_camera by rows. */
-  path_rows() {
+  /** world_from_camera by rows, a line for each picture, as `semfield render --trajectory` reads it. */
+  path_text() {
     const now = this.camera.state();
     const rows = this.path(48).map((state) => Object.assign(this.camera, state).world_from_camera().flat());
     Object.assign(this.camera, now);
-    return rows;
+    return rows.map((row) => row.map((v) => v.toPrecision(9)).join(" ") + "\n").join("");
   }
-  /** A line for each, as `semfield render --trajectory` reads it. */
-  path_text() { return this.path_rows().map((row) => row.map((v) => v.toPrecision(9)).join(" ") + "\n").join(""); }
   listen_path() {
     const tell = () => {
       const count = this.views.length;
-      for (const id of ["play", "save-path", "film"]) byId(id).disabled = count < 2;
+      for (const id of ["play", "save-path"]) byId(id).disabled = count < 2;
       byId("clear").disabled = count === 0;
       byId("path-hint").textContent = count === 0 ? "Fly somewhere and add a view; do so again: the path leads through all of them."
         : `${count} view${count === 1 ? "" : "s"}, ${2 * (count - 1)} s`;

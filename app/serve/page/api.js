@@ -12,12 +12,10 @@ export class Refusal extends Error {
 }
 
 async function answered(path, options, timeout_ms) {
-  const signal = options.signal ? AbortSignal.any([options.signal, AbortSignal.timeout(timeout_ms)]) : AbortSignal.timeout(timeout_ms);
   let answer;
   try {
-    answer = await fetch(path, {...options, signal, credentials: 'omit', cache: options.cache ?? 'no-store'});
-  } catch (error) {
-    if (options.signal?.aborted) throw error;
+    answer = await fetch(path, {...options, signal: AbortSignal.timeout(timeout_ms), credentials: 'omit', cache: options.cache ?? 'no-store'});
+  } catch {
     throw new Refusal('The program does not answer.', 'Look whether it still runs.', 0);
   }
   if (answer.ok) return answer;
@@ -42,8 +40,7 @@ async function body(answer, kind) {
 export const photoAddress = (view, name, most_px = 0) => `./photo?view=${view}&photo=${name}${most_px ? `&most_px=${most_px}` : ''}`;
 export const getJson = async (path, timeout_ms = 30000) => body(await answered(path, {}, timeout_ms), 'json');
 export const getBlob = async (path) => body(await answered(path, {cache: 'default'}, 60000), 'blob');
-const postRaw = (path, value, signal) =>
-  answered(path, {method: 'POST', headers: {'Content-Type': 'application/json'}, body: JSON.stringify(value), signal}, 120000);
+const postRaw = (path, value) => answered(path, {method: 'POST', headers: {'Content-Type': 'application/json'}, body: JSON.stringify(value)}, 120000);
 export const postJson = async (path, value) => body(await postRaw(path, value), 'json');
 
 /// Parts of a picture: u32 little-endian length and bytes, four times.
@@ -62,42 +59,33 @@ export function pictureParts(buffer) {
 
 const decoded = (bytes, type) => (bytes.length ? createImageBitmap(new Blob([bytes], {type})) : null);
 
-/// One request for a picture in flight; a newer wish takes the place of the one that waits.
+/// One request for a picture at a time; a newer wish takes the place of the one that waits.
 export class PictureChannel {
   constructor(client) {
     this.client = client;
     this.waiting = null;
-    this.flying = null;
+    this.isAsking = false;
   }
 
-  get idle() { return !this.flying && !this.waiting; }
-
-  /// done(picture) with bitmaps `color`, `labels`, `entropy` or null; failed(error). Neither is called when a newer wish came first.
+  /// done(picture) with bitmaps `color`, `labels`, `entropy` or null; failed(error). Neither is called of a wish whose place a newer one took.
   wish(request, done, failed) {
     this.waiting = {request, done, failed};
-    if (!this.flying) this.next();
-    else if (this.flying.request.full) this.flying.abort.abort();  // a slow one; nobody waits for it any more
-  }
-
-  forget() {
-    this.waiting = null;
-    this.flying?.abort.abort();
+    if (!this.isAsking) this.next();
   }
 
   async next() {
     const job = this.waiting;
     this.waiting = null;
-    this.flying = job;
+    this.isAsking = job !== null;
     if (!job) return;
-    job.abort = new AbortController();
     try {
-      const answer = await postRaw('./picture', {client: this.client, ...job.request}, job.abort.signal);
+      const answer = await postRaw('./picture', {client: this.client, ...job.request});
       const picture = pictureParts(await body(answer, 'arrayBuffer'));
       [picture.color, picture.labels, picture.entropy] = await Promise.all(
         [decoded(picture.color, 'image/jpeg'), decoded(picture.labels, 'image/png'), decoded(picture.entropy, 'image/png')]);
-      if (!job.abort.signal.aborted) job.done(picture);
+      job.done(picture);
     } catch (error) {
-      if (!job.abort.signal.aborted) job.failed(error);
+      job.failed(error);
     }
     this.next();
   }

@@ -2,7 +2,6 @@
 import {PictureChannel, followState, safeStorage} from './api.js';
 import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys} from './dialogs.js';
 import {byId} from './dom.js';
-import {Flights} from './flights.js';
 import {Labeller} from './labeller.js';
 import {OverlayEvents} from './model.js';
 import {Bars, Messages, Panel, Strip} from './panel.js';
@@ -27,7 +26,6 @@ class Page {
     this.index = 0;
     this.isRendered = false;
     this.bars = new Bars(this, this.messages);
-    this.flights = new Flights(this, this.messages, this.labeller.ids.tab);
     this.strip = new Strip(this);
     this.panel = new Panel(this);
     this.stage = new Stage(this);
@@ -38,14 +36,12 @@ class Page {
   get state() { return this.labeller.state; }
   get classes() { return this.labeller.classes; }
   get view() { return this.state.views[this.index]; }
-  get flight() { return this.flights.isFlying ? this.flights : null; }
 
   take(value, anew) {
     const isFirst = this.state === null;
     this.isLost = null;
     if (anew && !isFirst) this.pictures.forget();
     this.overlayEvents.tell(value.overlay);
-    this.flights.follow(value.overlay.revision);
     this.labeller.take(value, anew);
     if (isFirst) this.show(Number(this.session.getItem('semfield.view') ?? this.state.proposal?.view ?? 0));
     this.labeller.chosen ??= this.classes.length === 1 ? this.classes[0].name : null;
@@ -110,11 +106,6 @@ class Page {
 
   draw() {
     const {view, labeller} = this;
-    const {flown} = this.flights;
-    if (this.flight) {
-      return this.stage.drawFlight(flown && {...flown, shown: this.flights.marks(labeller.marks)},
-                                   flown ? `${flown.width} x ${flown.height}, ${Math.round(flown.render_ms)} ms` : 'Taking off');
-    }
     if (!view) return;
     const overlay = this.pictures.overlay(this.index);
     if (!document.hidden && (view.ready || this.isRendered)) {
@@ -143,7 +134,6 @@ class Page {
 
   show(view) {
     if (!this.state || !(view >= 0 && view < this.state.views.length)) return;
-    this.land();
     this.index = view;
     Object.assign(this.stage, {cross: null, selected: null, marks: [], others: []});
     this.stage.tools.drop();
@@ -171,7 +161,7 @@ class Page {
   /// To another view of the strip.
   step(steps) {
     const to = this.strip.neighbour(this.index, steps);
-    if (to === this.index && !this.flight) return this.messages.tell(steps < 0 ? 'This is the first view.' : 'This is the last view.');
+    if (to === this.index) return this.messages.tell(steps < 0 ? 'This is the first view.' : 'This is the last view.');
     this.show(to);
   }
 
@@ -253,9 +243,8 @@ class Page {
     else this.click({points: [stage.cross], radius: this.settings.radius, view: this.index});
   }
 
-  /// Out of what is under way: a polygon, a selection, a flight.
+  /// Out of what is under way: a polygon, a selection.
   leave() {
-    if (this.flight) return this.land();
     this.stage.tools.drop();
     this.select(null);
   }
@@ -266,7 +255,7 @@ class Page {
     if (!proposal) return this.messages.tell('No click is proposed at the moment.');
     if (proposal.id !== this.offered) return this.messages.tell('Not stored: another click has just been proposed. Look at it first.');
     if (!isToBeSeen) return proposal;
-    if (proposal.view !== this.index || this.flight) return this.show(proposal.view);
+    if (proposal.view !== this.index) return this.show(proposal.view);
     return this.stage.isInSight(proposal.at) ? proposal : this.stage.fit();
   }
 
@@ -289,8 +278,6 @@ class Page {
     if (proposal) this.labeller.skipProposal(proposal);
   }
 
-  undo() { if (!this.flights.undo()) this.labeller.undo(); }
-
   /// What is shown is another: values of the page or its stage.
   set(part, values) {
     Object.assign(part, values);
@@ -307,19 +294,6 @@ class Page {
     if (this.classes.length) this.choose(this.classes[(at + step + this.classes.length) % this.classes.length].name);
   }
 
-  fly() {
-    if (this.flight || this.flights.isTakingOff || !this.state) return this.land();
-    return this.flights.begin();
-  }
-
-  land() {
-    if (!this.flight) return;
-    this.flights.end();
-    this.pictures.wished = null;
-    this.stage.fit();
-    this.changed();
-  }
-
   connect() {
     const {stage} = this;
     const actions = actionsOf(this);
@@ -334,15 +308,10 @@ class Page {
       this.set(stage, {isHidden: false});
     });
     byId('radius').addEventListener('input', () => this.setRadius(Number(byId('radius').value)));
-    for (const button of document.querySelectorAll('#pad [data-key]')) {
-      button.addEventListener('pointerdown', () => this.flight?.key(button.dataset.key, true, false));
-      for (const end of ['pointerup', 'pointerleave', 'pointercancel']) button.addEventListener(end, () => this.flight?.key(button.dataset.key, false, false));
-    }
-    addEventListener('blur', () => this.flight?.held.clear());
     document.addEventListener('visibilitychange', this.changed);
 
     followClicksBeside(() => this.messages.tell('Not stored: a window is open over the picture. Answer it first.'));
-    followKeys(actions, (event, isDown) => Boolean(this.flight?.key(event.key, isDown, event.shiftKey)));
+    followKeys(actions);
   }
 }
 

@@ -124,7 +124,7 @@ export function askClass(classes, row, answered) {
 function keyTable(page) {
   const {stage, labeller, settings} = page;
   const {tools} = stage;
-  const undo = () => page.undo();
+  const undo = () => labeller.undo();
   const redo = () => labeller.redo();
   const remove = () => page.remove();
   const each = (keys, act) => Object.fromEntries(keys.map((key, i) => [key, () => act(key, i)]));
@@ -135,7 +135,6 @@ function keyTable(page) {
     settings.give(labeller.chosen, digit);
     page.changed();
   };
-  const land = () => (page.flight ? page.flights.toPhotograph() : page.messages.tell('v goes from a flight to the nearest photograph; f flies.'));
   return [
     ['Label', [
       ['click, drag', 'label with the chosen class: a place, a stroke'],
@@ -174,14 +173,7 @@ function keyTable(page) {
     ['Without a mouse', [
       ['shift+arrows', 'move a cross over the view (with ctrl: by one pixel)', {...cross('shift+', false), ...cross('ctrl+shift+', true)}],
       ['enter', 'click at the cross', {Enter: () => page.enter()}],
-    ]],
-    ['Fly', [
-      ['f', 'fly through the scene; f or esc leaves', {f: () => page.fly(), Escape: () => page.leave()}],
-      ['w a s d, q e', 'move; down, up (with shift: faster)'],
-      ['click', 'label what is there, in the photograph that shows it best'],
-      ['v', 'go to that photograph, or the nearest', {v: land}],
-      ['drag, arrows', 'look around'],
-      ['wheel', 'move ahead or back'],
+      ['esc', 'out of a polygon or a selection', {Escape: () => page.leave()}],
     ]],
   ];
 }
@@ -217,17 +209,15 @@ export function nameOfKey(event) {
   return `${event.ctrlKey || event.metaKey ? 'ctrl+' : ''}${hasShift ? 'shift+' : ''}${name}`;
 }
 
-/// actions: functions by nameOfKey. first(event, isDown) may take a key before them by returning true.
-export function followKeys(actions, first) {
+/// actions: functions by nameOfKey.
+export function followKeys(actions) {
   addEventListener('keydown', (event) => {
     if (document.querySelector('dialog[open]') || event.isComposing || event.defaultPrevented || isTaken(event)) return;
-    if (!event.ctrlKey && !event.metaKey && !event.altKey && first(event, true)) return event.preventDefault();
     const action = event.altKey ? undefined : actions[nameOfKey(event)];
     if (!action) return;
     event.preventDefault();
     action(event);
   });
-  addEventListener('keyup', (event) => first(event, false));
   // After a press with the mouse the keys belong to the view again.
   const home = document.getElementById('canvas');
   const giveBack = () => { if (!document.querySelector('dialog[open]')) home.focus({preventScroll: true}); };

@@ -85,37 +85,32 @@ export class Bars {
   }
 
   tools() {
-    const {stage, settings, flight, isRendered, view} = this.page;
+    const {stage, settings, isRendered, view} = this.page;
     for (const [id, on] of [['show-photo', !isRendered], ['show-rendered', isRendered], ['show-labels', stage.kind === 'labels'],
-                            ['show-entropy', stage.kind === 'entropy'], ['fly', flight !== null],
-                            ...kTools.map((kind) => [`tool-${kind}`, stage.tools.kind === kind])]) {
+                            ['show-entropy', stage.kind === 'entropy'], ...kTools.map((kind) => [`tool-${kind}`, stage.tools.kind === kind])]) {
       setAttribute(byId(id), 'aria-pressed', on);
     }
     byId('opacity').value = stage.isHidden ? 0 : settings.opacity;
     setText(byId('opacity-value'), stage.isHidden ? 'off' : `${settings.opacity} %`);
     byId('radius').value = settings.radius;
     setText(byId('radius-value'), `${settings.radius} px`);
-    byId('legend').hidden = stage.kind !== 'entropy' || flight !== null;
-    byId('pad').hidden = !flight;
-    byId('canvas').classList.toggle('flying', flight !== null);
+    byId('legend').hidden = stage.kind !== 'entropy';
     byId('canvas').classList.toggle('locked', Boolean(view?.held_out));
-    setAttribute(byId('canvas'), 'aria-label', flight ? 'Free camera' : view ? `View ${view.frame}` : 'No view');
+    setAttribute(byId('canvas'), 'aria-label', view ? `View ${view.frame}` : 'No view');
   }
 
   proposal() {
-    const {flight, index, state, classes} = this.page;
+    const {index, state, classes} = this.page;
     const {proposal, chosen} = this.page.labeller;
     const text = byId('proposal-text');
-    const isHere = proposal?.view === index && !flight;
+    const isHere = proposal?.view === index;
     const none = classes.length === 0;
     const guess = classes.find(({index}) => index >= 0 && index === proposal?.class_guess);
-    text.classList.toggle('some', Boolean(proposal) && !flight);
-    byId('to-photograph').hidden = !flight;
-    setText(text, flight ? 'Flying: w a s d q e move, drag looks around, a click labels, f leaves.'
-      : !proposal ? 'No click is proposed at the moment.'
+    text.classList.toggle('some', Boolean(proposal));
+    setText(text, !proposal ? 'No click is proposed at the moment.'
       : `Click proposed ${isHere ? 'here' : `in ${state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
     const take = byId('proposal-take');
-    take.hidden = byId('proposal-skip').hidden = !proposal || flight !== null;
+    take.hidden = byId('proposal-skip').hidden = !proposal;
     this.fill(take, !isHere ? ['Go to it'] : chosen !== null ? ['Label as ', {...this.page.classOf(chosen), name: this.page.classOf(chosen).label ?? chosen}] : [none ? 'Name it' : 'Choose a class'], isHere && chosen === null && !none ? '' : 'space');
     take.disabled = isHere && chosen === null && !none;
     const button = byId('proposal-guess');
@@ -124,9 +119,9 @@ export class Bars {
   }
 
   selection() {
-    const {stage, flight} = this.page;
+    const {stage} = this.page;
     const mark = stage.marks.find(({id}) => id === stage.selected);
-    byId('selection').hidden = !mark || flight !== null;
+    byId('selection').hidden = !mark;
     if (mark) setText(byId('selection-text'), `Selected: ${shapeOf(mark)} "${mark.label}"`);
   }
 
@@ -145,7 +140,7 @@ export class Bars {
 
   welcome() {
     const welcome = byId('welcome');
-    const {flight, view, classes, labeller} = this.page;
+    const {view, classes, labeller} = this.page;
     const {views} = this.page.state;
     const hasMarks = labeller.marks.length > 0;
     const words = view?.held_out ? null : views.length === 0 ? ['There is no view to label', 'The scene has no training frame.']
@@ -153,7 +148,7 @@ export class Bars {
           'labels of all views follow within a second of the first clicks.']
       : !hasMarks && labeller.chosen === null ? ['Choose a class, then click', 'Keys 1 to 9 choose a class, n makes one. A click, or a drag along something, labels it.']
       : !hasMarks ? [`Click on something that is "${this.page.classOf(labeller.chosen).label ?? labeller.chosen}"`, 'Or drag along it. Keys 1 to 9 choose another class, n makes one.'] : null;
-    welcome.hidden = !words || flight !== null;
+    welcome.hidden = !words;
     if (words && this.welcomed !== words[0]) welcome.replaceChildren(make('h2', {}, words[0]), make('p', {}, words[1]));
     this.welcomed = words?.[0];
   }

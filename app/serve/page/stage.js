@@ -180,7 +180,7 @@ export class ViewCanvas {
   }
 
   /// The part of a picture of the whole image that is on the screen, drawn there: a photograph may have many megapixels.
-  drawPicture(picture, alwaysSmooth) {
+  drawPicture(picture) {
     const {context, port, image, screen} = this;
     const share = picture.width / image.width;
     const [left, top] = toImage(port, 0, 0).map((v) => Math.max(0, Math.floor(v)));
@@ -188,13 +188,13 @@ export class ViewCanvas {
     const [width, height] = [Math.min(right, image.width) - left, Math.min(bottom, image.height) - top];
     if (width <= 0 || height <= 0) return;
     const [x, y] = toScreen(port, left, top);
-    context.imageSmoothingEnabled = alwaysSmooth || port.scale / share < 6;
+    context.imageSmoothingEnabled = port.scale / share < 6;
     context.imageSmoothingQuality = 'high';
     const tall = picture.height / image.height;
     context.drawImage(picture, left * share, top * tall, width * share, height * tall, x, y, width * port.scale, height * port.scale);
   }
 
-  /// what: {isSmooth: never show the picture's pixels, picture, opacity, marks, others: clicks of other views, selected and hovered mark,
+  /// what: {picture, opacity, marks, others: clicks of other views, selected and hovered mark,
   /// showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke, outline: {points, color, tip}}
   draw(what) {
     const {context, port, image} = this;
@@ -203,7 +203,7 @@ export class ViewCanvas {
     const place = [port.x, port.y, image.width * port.scale, image.height * port.scale];
     context.fillStyle = '#0c0d0f';
     context.fillRect(...place);
-    if (what.picture) this.drawPicture(what.picture, what.isSmooth);
+    if (what.picture) this.drawPicture(what.picture);
     context.globalAlpha = Math.max(what.opacity, 0.3);
     for (const mark of what.marks) if (mark.isIgnore) this.inImage(() => paintClick(context, mark, hatchOf(context, port.scale)));
     context.imageSmoothingEnabled = true;  // edges of labels without steps where a pixel that trains is large
@@ -211,7 +211,7 @@ export class ViewCanvas {
     if (what.opacity > 0) context.drawImage(this.layer, ...place);
     context.globalAlpha = 1;
     if (what.stroke) this.drawStroke(what.stroke);
-    for (const mark of what.others ?? []) this.drawOther(mark, what.showNames || mark === what.hovered);
+    for (const mark of what.others) this.drawOther(mark, what.showNames || mark === what.hovered);
     for (const mark of what.marks) this.drawMark(mark, what.showNames || mark === what.hovered, mark === what.selected, what.doomed?.has(mark.id));
     if (what.outline) this.drawOutline(what.outline);
     if (what.ring) this.drawRing(what.ring);
@@ -499,43 +499,20 @@ export class Stage {
     this.marks = [];           // of the view
     this.others = [];          // clicks of other views that are seen
     this.selected = null;      // id of a mark
-    this.shown = null;         // what the person sees: the number of a view, or a picture of a flight
+    this.shown = null;         // number of the view that the person sees
     this.tools = new Tools(this);
     new ResizeObserver(() => { if (this.view.resize()) page.redraw(); }).observe(byId('canvas'));
     this.view.resize();
     followPointer(byId('canvas'), {
       hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; page.redraw(); },
-      down: (x, y) => {
-        this.flew = page.flights.isFlying ? {picture: this.shown, label: this.labeller.label} : null;
-        if (this.flew) this.last = [x, y];
-        else this.tools.down(x, y);
-      },
-      draw: (x, y) => {
-        if (!this.flew) return this.tools.draw(x, y);
-        if (page.flights.isFlying) this.turn(x - this.last[0], y - this.last[1]);
-        this.last = [x, y];
-      },
-      up: (isClick, x, y) => {
-        if (Boolean(this.flew) !== page.flights.isFlying) {
-          this.tools.cancel(true);
-          return page.messages.tell('Not stored: the picture changed under it. Do it again.');
-        }
-        if (!this.flew) return this.tools.up(x, y, isClick);
-        const at = this.view.imageAt(x, y);
-        if (isClick && !isInside(this.view.image, ...at)) page.messages.tell('Click into the picture.');
-        else if (isClick) page.flights.click([at[0] / this.view.image.width, at[1] / this.view.image.height], this.flew.label, this.flew.picture);
-      },
+      down: (x, y) => this.tools.down(x, y),
+      draw: (x, y) => this.tools.draw(x, y),
+      up: (isClick, x, y) => this.tools.up(x, y, isClick),
       cancel: (isPinch) => this.tools.cancel(isPinch),
-      pan: (dx, dy) => {
-        if (page.flights.isFlying) this.turn(dx, dy);
-        else this.look(moved(this.view.port, dx, dy, this.view.image, this.view.screen));
-      },
-      zoom: (factor, x, y) => { if (page.flights.isFlying) page.flight.ahead(Math.log(factor) * 1.5); else this.zoom(factor, x, y); },
+      pan: (dx, dy) => this.look(moved(this.view.port, dx, dy, this.view.image, this.view.screen)),
+      zoom: (factor, x, y) => this.zoom(factor, x, y),
     });
   }
-
-  /// Of the free camera, by a drag in CSS pixels.
-  turn(dx, dy) { this.page.flight.look(dx * 0.004, -dy * 0.004); }
 
   get chosenRow() { return this.labeller.classOf(this.labeller.chosen) ?? {color: [255, 255, 255]}; }
 
@@ -623,16 +600,6 @@ export class Stage {
     this.view.draw({picture, opacity: this.opacity, marks, others, hovered, selected: marks.find(({id}) => id === this.selected), doomed: tools.doomed,
                     showNames: this.settings.names, ring, brush, cross: this.cross, stroke: tools.stroke, outline});
     this.tellAim(hovered, isLocked);
-  }
-
-  drawFlight(picture, text) {
-    this.shown = picture;
-    if (picture) {
-      this.view.setImage(picture.width, picture.height);
-      this.paint(picture.labels, [], `flight ${picture.serial}`);
-    }
-    this.view.draw({isSmooth: true, picture: picture?.color, opacity: picture ? this.opacity : 0, marks: [], others: picture?.shown ?? [], showNames: this.settings.names});
-    setText(byId('readout'), text);
   }
 
   get opacity() { return this.isHidden ? 0 : this.settings.opacity / 100; }

@@ -5,14 +5,13 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cmath>
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <set>
 
 #include "core/error.h"
 #include "core/text.h"
+#include "labels/strict_json.h"
 #include "system/checksum.h"
 #include "system/files.h"
 
@@ -187,174 +186,110 @@ const std::vector<KindText>& kinds() {
   return all;
 }
 
-[[noreturn]] void refuse(Code code, const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, code, "event: " + message, remedy);
+Error wrong_format(const std::string& message, const std::string& remedy) {
+  return {ErrorKind::data, "labels.event.format", "event: " + message, remedy};
 }
+constexpr StrictJson<Json> kEvent{wrong_format};
 
-// What was found, short enough for a message.
-std::string shown(const Json& value) {
-  constexpr std::size_t kMost = 60;
-  if (value.is_array() || value.is_object())
-    return value.is_array() ? "a list of " + std::to_string(value.size()) : "a map";
-  std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
-  if (text.size() > kMost) text = text.substr(0, kMost) + "...";
-  return text;
-}
-
-[[noreturn]] void refuse_value(const char* key, const std::string& expected, const Json& found) {
-  refuse("labels.event.format", std::string("'") + key + "': expected " + expected + ", got " + shown(found));
-}
-
-// The keys of one object; the parser alone sees one that is given twice.
-Json parse_object(std::string_view text) {
-  if (text.size() > kMostEventBytes) {
-    refuse("labels.event.size",
-           "it is " + std::to_string(text.size()) + " bytes long; at most " + std::to_string(kMostEventBytes) +
-               " are read",
-           "send a stroke in parts");
-  }
-  std::set<std::string> keys;
-  std::string twice;
-  const Json::parser_callback_t watch = [&](int depth, Json::parse_event_t event, Json& parsed) {
-    if (event == Json::parse_event_t::key && depth == 1 && !keys.insert(parsed.get<std::string>()).second &&
-        twice.empty()) {
-      twice = shown(parsed);
-    }
-    return true;
-  };
-  Json root;
-  try {
-    root = Json::parse(text, watch);
-  } catch (const Json::exception& e) {
-    refuse("labels.event.format", "not valid JSON: " + json_cause(e.what()));
-  }
-  if (!root.is_object()) refuse("labels.event.format", "expected a map {\"id\":...,\"type\":...}, got " + shown(root));
-  if (!twice.empty()) refuse("labels.event.format", "key " + twice + " is given twice");
-  return root;
-}
-
-const Json& at(const Json& root, const char* key) {
-  const auto found = root.find(key);
-  if (found == root.end()) refuse("labels.event.format", std::string("key '") + key + "' is missing");
-  return *found;
+[[noreturn]] void refuse_points(const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, "labels.event.points", "event: " + message, remedy);
 }
 
 // 1 to `most` bytes of text without control characters.
 std::string line_at(const Json& root, const char* key, std::size_t most) {
-  const Json& value = at(root, key);
+  const Json& value = kEvent.at(root, key);
   const std::string* text = value.get_ptr<const std::string*>();
   if (text == nullptr || text->empty() || text->size() > most || !is_line_of_text(*text))
-    refuse_value(key, "a text of 1 to " + std::to_string(most) + " bytes without control characters", value);
+    kEvent.refuse_value(key, "a text of 1 to " + std::to_string(most) + " bytes without control characters", value);
   return *text;
 }
 
 std::string id_at(const Json& root, const char* key) {
-  const Json& value = at(root, key);
+  const Json& value = kEvent.at(root, key);
   const std::string* text = value.get_ptr<const std::string*>();
-  if (text == nullptr || !is_event_id(*text)) refuse_value(key, "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", value);
+  if (text == nullptr || !is_event_id(*text))
+    kEvent.refuse_value(key, "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", value);
   return *text;
 }
 
-// A whole number between two bounds; false for anything else.
-bool whole_between(const Json& value, std::int64_t low, std::int64_t high, std::int64_t& out) {
-  if (!value.is_number_integer()) return false;
-  if (value.is_number_unsigned() && value.get<std::uint64_t>() > static_cast<std::uint64_t>(high)) return false;
-  out = value.get<std::int64_t>();
-  return low <= out && out <= high;
-}
-
 void read_size(const Json& root, LabelEvent& event) {
-  const Json& size = at(root, "size");
-  std::int64_t w = 0, h = 0;
-  if (!size.is_array() || size.size() != 2) refuse_value("size", "[width, height]", size);
-  for (const std::size_t i : {std::size_t{0}, std::size_t{1}}) {
-    if (!whole_between(size[i], 1, kMostEventSide, i == 0 ? w : h))
-      refuse_value("size", "whole numbers from 1 to " + std::to_string(kMostEventSide), size[i]);
-  }
-  event.width_px = static_cast<std::int32_t>(w);
-  event.height_px = static_cast<std::int32_t>(h);
+  const Json& size = kEvent.at(root, "size");
+  if (!size.is_array() || size.size() != 2) kEvent.refuse_value("size", "[width, height]", size);
+  const auto side = [&](std::size_t i) {
+    return static_cast<std::int32_t>(
+        kEvent.whole(size[i], "size", 1, kMostEventSide, "whole numbers from 1 to " + std::to_string(kMostEventSide)));
+  };
+  event.width_px = side(0);
+  event.height_px = side(1);
 }
 
 void read_points(const Json& root, LabelEvent& event) {
-  const Json& points = at(root, "points");
+  const Json& points = kEvent.at(root, "points");
   const std::size_t most = event.kind == LabelEventKind::skip ? 1 : kMostEventPoints;
   if (!points.is_array() || points.empty() || points.size() > most) {
-    refuse_value("points", most == 1 ? "a list of one point" : "a list of 1 to " + std::to_string(most) + " points",
-                 points);
+    kEvent.refuse_value(
+        "points", most == 1 ? "a list of one point" : "a list of 1 to " + std::to_string(most) + " points", points);
   }
   for (const Json& point : points) {
     const std::string which = "'points': point " + std::to_string(event.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
-      refuse("labels.event.points", which + " is not a pair of numbers [x, y]: " + shown(point));
+      refuse_points(which + " is not a pair of numbers [x, y]: " + kEvent.shown(point));
     const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
     if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px)) {
-      refuse("labels.event.points",
-             which + ", (" + shown(point[0]) + ", " + shown(point[1]) + "), lies outside the image of " +
-                 std::to_string(event.width_px) + " x " + std::to_string(event.height_px),
-             "count pixels of the image of 'size'");
+      refuse_points(which + ", (" + kEvent.shown(point[0]) + ", " + kEvent.shown(point[1]) +
+                        "), lies outside the image of " + std::to_string(event.width_px) + " x " +
+                        std::to_string(event.height_px),
+                    "count pixels of the image of 'size'");
     }
     event.points.push_back(p);
   }
 }
 
 void read_radius(const Json& root, LabelEvent& event) {
-  const Json& radius = at(root, "radius");
+  const Json& radius = kEvent.at(root, "radius");
   if (radius.is_number()) event.radius_px = radius.get<double>();
   if (!radius.is_number() || !(event.radius_px >= 0 && event.radius_px <= kMostEventRadius))
-    refuse_value("radius", "pixels from 0 to a million", radius);
+    kEvent.refuse_value("radius", "pixels from 0 to a million", radius);
 }
 
 void read_fill(const Json& root, LabelEvent& event) {
-  const auto fill = root.find("fill");
-  if (fill == root.end()) return;
-  if (!fill->is_boolean()) refuse_value("fill", "true or false", *fill);
-  event.fill = fill->get<bool>();
+  kEvent.flag(root, "fill", event.fill);
   if (event.fill && event.points.size() < kLeastOutlinePoints)
-    refuse("labels.event.points",
-           "'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
+    refuse_points("'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
 }
 
 void read_object(const Json& root, LabelEvent& event) {
   const auto object = root.find("object");
   if (object == root.end()) return;
-  std::int64_t number = 0;
-  if (!whole_between(*object, 1, kMostObjectNumber, number))
-    refuse_value("object", "a whole number from 1 to " + std::to_string(kMostObjectNumber), *object);
-  event.object = static_cast<std::int32_t>(number);
+  event.object = static_cast<std::int32_t>(kEvent.whole(
+      *object, "object", 1, kMostObjectNumber, "a whole number from 1 to " + std::to_string(kMostObjectNumber)));
 }
 
 void read_color(const Json& root, LabelEvent& event) {
   const auto color = root.find("color");
   if (color == root.end()) return;
   std::array<std::uint8_t, 3> rgb{};
-  if (!color->is_array() || color->size() != 3) refuse_value("color", "[red, green, blue]", *color);
-  for (std::size_t i = 0; i < 3; ++i) {
-    std::int64_t value = 0;
-    if (!whole_between((*color)[i], 0, 255, value)) refuse_value("color", "whole numbers from 0 to 255", (*color)[i]);
-    rgb[i] = static_cast<std::uint8_t>(value);
-  }
+  if (!color->is_array() || color->size() != 3) kEvent.refuse_value("color", "[red, green, blue]", *color);
+  for (std::size_t i = 0; i < 3; ++i)
+    rgb[i] = static_cast<std::uint8_t>(kEvent.whole((*color)[i], "color", 0, 255, "whole numbers from 0 to 255"));
   event.color = rgb;
 }
 
 const KindText& kind_at(const Json& root) {
-  const Json& type = at(root, "type");
+  const Json& type = kEvent.at(root, "type");
   std::vector<std::string> known;
   for (const KindText& kind : kinds()) {
     if (type == kind.type) return kind;
     known.emplace_back(kind.type);
   }
-  refuse_value("type", join(known), type);
+  kEvent.refuse_value("type", join(known), type);
 }
 
 void check_keys(const Json& root, const KindText& kind) {
   std::vector<std::string> known{"id", "type", "time_ms"};
   known.insert(known.end(), kind.keys.begin(), kind.keys.end());
   known.insert(known.end(), kind.may.begin(), kind.may.end());
-  for (const auto& item : root.items()) {
-    if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
-    refuse("labels.event.format", "unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
-           near_name_remedy(item.key(), known, "known: " + join(known)));
-  }
+  kEvent.check_keys(root, known, std::string(" of a '") + kind.type + "'");
 }
 
 // The event's text behind a key that names a class; null for other keys.
@@ -373,16 +308,19 @@ bool is_event_id(std::string_view text) {
 }
 
 LabelEvent parse_label_event(std::string_view json) {
-  const Json root = parse_object(json);
+  if (json.size() > kMostEventBytes)
+    throw Error(ErrorKind::data, "labels.event.size",
+                "event: it is " + std::to_string(json.size()) + " bytes long; at most " +
+                    std::to_string(kMostEventBytes) + " are read",
+                "send a stroke in parts");
+  const Json root = kEvent.map(json, R"( {"id":...,"type":...})");
   const KindText& kind = kind_at(root);
   check_keys(root, kind);
   LabelEvent event;
   event.kind = kind.kind;
   event.id = id_at(root, "id");
-  if (const auto time = root.find("time_ms");
-      time != root.end() && !whole_between(*time, 0, std::int64_t{1} << 53, event.unix_ms)) {
-    refuse_value("time_ms", "milliseconds since 1970", *time);
-  }
+  if (const auto time = root.find("time_ms"); time != root.end())
+    event.unix_ms = kEvent.whole(*time, "time_ms", 0, std::int64_t{1} << 53, "milliseconds since 1970");
   const bool click = kind.kind == LabelEventKind::click;
   if (click || kind.kind == LabelEventKind::skip) {
     event.frame = line_at(root, "frame", kMostFrameNameBytes);
@@ -400,7 +338,7 @@ LabelEvent parse_label_event(std::string_view json) {
   read_color(root, event);
   if (kind.kind == LabelEventKind::undo) {
     event.of = id_at(root, "of");
-    if (event.of == event.id) refuse("labels.event.format", "'of': it is the event's own id");
+    if (event.of == event.id) kEvent.refuse("'of': it is the event's own id");
   }
   return event;
 }
