@@ -410,7 +410,6 @@ std::string command(const std::string& words) { return "`" + program_name() + " 
 const std::map<std::string, std::string> kGone{{"bench label", "studies/labelling.py"},
                                                {"bench pairs", "studies/leave_out.py"},
                                                {"bench quadrature", "studies/quadrature.py"},
-                                               {"bench scale", "studies/scale.py"},
                                                {"capture", "pack CONFIG --format replica"},
                                                {"classes", "labels classes"},
                                                {"completion", "help --completion"},

@@ -1,6 +1,5 @@
 """Every study in a smoke mode of a few seconds: studies_test.py FOLDER_OF_STUDIES STUDY."""
 import json
-import os
 import pathlib
 import shutil
 import subprocess
@@ -42,18 +41,10 @@ def leave_out(folder):
     assert {row["name"] for row in json.loads(pathlib.Path(data).read_text())["rows"]} == named
 
 
-def scale(folder):
-    mpi = ["--ranks", 2] if len(os.sched_getaffinity(0)) > 1 and shutil.which("mpirun") else ["--ranks", 1]
-    out = run("--quick", "--repeats", 1, "--out", folder, *mpi)
-    assert "| quickstart |" in out and "| equal |" in out and "Paper step on CPU ranks" in out, out
-    combined = run("--combine", STUDIES.parent / "docs/evidence/scale.json")
-    assert "NVIDIA H100" in combined, combined
-
-
 def labelling(folder):
     out = run("--questions", "surface", "--seeds", 1, "--clicks", 3, "--geometry", 1, "--device", "cpu", *SMALL)
     assert "mIoU after 3" in out and "answer_p50_ms=" in out, out
 
 
 with tempfile.TemporaryDirectory() as name:
-    {"quadrature": quadrature, "leave_out": leave_out, "scale": scale, "labelling": labelling}[NAME](pathlib.Path(name))
+    {"quadrature": quadrature, "leave_out": leave_out, "labelling": labelling}[NAME](pathlib.Path(name))
