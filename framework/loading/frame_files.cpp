@@ -15,8 +15,6 @@
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "formats/text_rows.h"
-#include "loading/frame_source.h"
-#include "loading/posed_photographs.h"
 #include "scene/scene.h"
 #include "system/files.h"
 
@@ -25,67 +23,6 @@ namespace semfield {
 namespace fs = std::filesystem;
 
 namespace {
-
-// What the name of a mask of moving things begins with, beside its image [instant-ngp].
-constexpr const char* kMovingMask = "dynamic_mask_";
-
-// Files of a frame, which can do without all but the first; `shown`: drawn over the picture as viewers show it.
-struct Kind {
-  const char* what;
-  std::string FrameFiles::*path;
-  bool shown = false;
-};
-constexpr std::array<Kind, 6> kKinds{{{kColorImage, &FrameFiles::color},
-                                      {"depth image", &FrameFiles::depth},
-                                      {"label image", &FrameFiles::label, true},
-                                      {"instance image", &FrameFiles::instance, true},
-                                      {"mask", &FrameFiles::mask},
-                                      {"mask of moving things", &FrameFiles::moving}}};
-
-bool is_optional(const std::string& what) {
-  return std::any_of(kKinds.begin() + 1, kKinds.end(), [&](const Kind& one) { return what == one.what; });
-}
-
-// "a, b, c, ..."
-std::string first_names(const std::vector<std::string>& names) {
-  constexpr std::size_t kNamed = 8;
-  if (names.size() <= kNamed) return join(names);
-  return join({names.begin(), names.begin() + kNamed}) + ", ...";
-}
-
-// A picture beside `path` that is called like it up to the extension; "" when there is none.
-std::string same_with_other_extension(const fs::path& path) {
-  for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".exr"}) {
-    const std::string other = fs::path(path).replace_extension(extension).string();
-    if (other != path && is_there(other)) return other;
-  }
-  return "";
-}
-
-// As in "scene/C:/photos/1.jpg".
-bool has_drive(const std::string& path) {
-  const std::size_t colon = path.find(":/");
-  return colon != std::string::npos && colon > 0 && std::isalpha(static_cast<unsigned char>(path[colon - 1])) != 0 &&
-         (colon == 1 || path[colon - 2] == '/');
-}
-
-// The pattern of scene.labels.from that gives this file for this frame.
-std::string label_pattern(const FrameInfo& frame, const fs::path& label) {
-  const std::string stem = label.stem().string(), extension = label.extension().string();
-  if (stem == frame.name) return "{name}" + extension;
-  if (stem == fs::path(frame.source).stem().string()) return "{stem}" + extension;
-  const std::size_t digits = stem.find_last_not_of("0123456789") + 1;
-  const std::size_t own = frame.name.find_last_not_of("0123456789") + 1;
-  if (digits < stem.size() && own < frame.name.size()) return stem.substr(0, digits) + "{number}" + extension;
-  return "{name}" + extension;
-}
-
-// The size of a label or instance image, which is drawn over the picture as viewers show it.
-Camera shown_camera(const FrameInfo& frame) {
-  Camera camera = frame.camera;
-  if (turned_by_quarter(frame.orientation)) std::swap(camera.width_px, camera.height_px);
-  return camera;
-}
 
 template <class T>
 void check_size(const Image<T>& image, const Camera& camera, const std::string& path) {
@@ -96,46 +33,86 @@ void check_size(const Image<T>& image, const Camera& camera, const std::string& 
               "colour, depth and labels of a frame need the size that its camera states");
 }
 
-// Ids of the pixels as the colour image stores them.
-Image<std::uint16_t> read_shown_ids(const FrameInfo& frame, const std::string& path) {
+// Ids of the pixels as the colour image stores them. `file` gets the size at which the file holds them.
+Image<std::uint16_t> read_frame_ids(const FrameInfo& frame, const std::string& path, bool of_any_size,
+                                    ImageSize& file) {
+  const Camera& c = frame.camera;
   Image<std::uint16_t> image = read_ids(path);
+  file = {c.width_px, c.height_px};
+  if (of_any_size) {
+    file = {image.width_px, image.height_px};
+    return {c.width_px, c.height_px, 1, at_nearest_pixels(image.pixels, file, {c.width_px, c.height_px})};
+  }
   check_size(image, shown_camera(frame), path);
-  const Camera& camera = frame.camera;
-  return {camera.width_px, camera.height_px, 1,
-          as_stored(std::move(image.pixels), camera.width_px, camera.height_px, frame.orientation)};
+  return {c.width_px, c.height_px, 1, as_stored(std::move(image.pixels), c.width_px, c.height_px, frame.orientation)};
 }
 
-void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_void, const ClassTable& classes,
-                 std::vector<std::int16_t>& out) {
-  const Image<std::uint16_t> image = read_shown_ids(frame, path);
+void read_labels(const FrameInfo& frame, const std::string& path, const FrameReadRules& rules,
+                 const ClassTable& classes, std::vector<std::int16_t>& out) {
+  ImageSize file;
+  const Image<std::uint16_t> image = read_frame_ids(frame, path, rules.labels_of_any_size, file);
+  // As nearest_pixels: the pixel of the file that one was read at.
+  const auto in_file = [&](std::size_t i) {
+    const auto at = static_cast<std::int64_t>(i), width = std::int64_t{image.width_px};
+    return pixel_at((2 * (at % width) + 1) * file.width_px / (2 * width),
+                    (2 * (at / width) + 1) * file.height_px / (2 * std::int64_t{image.height_px}), file.width_px);
+  };
+  const bool raw = !rules.class_of_raw.empty();
   out.resize(image.pixels.size());
   UnknownValues unknown;
   for (std::size_t i = 0; i < out.size(); ++i) {
-    const int index = classes.index_of(image.pixels[i]);
-    if (index == -2 && !unknown_void) unknown.try_emplace(std::to_string(image.pixels[i]), i);
+    const std::uint16_t id = image.pixels[i];
+    const int index = raw ? rules.class_of_raw[id] : classes.index_of(id);
+    if (index == -2 && rules.unknown_labels == UnknownLabels::error)
+      unknown.try_emplace(std::to_string(id), in_file(i));
     out[i] = index < 0 ? kVoid : static_cast<std::int16_t>(index);
   }
   if (!unknown.empty())
-    throw UnknownLabelError("label id", std::move(unknown), path, image.width_px, kUnknownLabelRemedy);
+    throw UnknownLabelError(
+        raw ? "raw id" : "label id", std::move(unknown), path, file.width_px,
+        "add what is missing to the class table, or read it as void with --set scene.unknown_labels=void");
 }
 
-// Settings that read this file as one of label files in place of the scene's own; `more` are further keys.
-std::string label_settings(const FrameInfo& frame, const fs::path& label, const std::string& labels_key,
-                           const std::string& more) {
-  return (labels_key.empty() ? std::string() : "--set 'scene." + labels_key + "=\"\"' ") + "--set " +
-         shell_word("scene.labels.from={type: images, folder: \"" + label.parent_path().string() + "\", pattern: \"" +
-                    label_pattern(frame, label) + "\"" + more + "}");
+// The pixel of a second lens, of focal length f2 and centre c2, that sees the centre of each of `to` pixels of a first
+// one (f1, c1); -1 outside its `from` pixels.
+std::vector<std::int64_t> by_ray(double f2, double c2, std::int32_t from, double f1, double c1, std::int32_t to) {
+  std::vector<std::int64_t> out;
+  for (std::int32_t i = 0; i < to; ++i) {
+    const double at = std::floor(f2 * (i + 0.5 - c1) / f1 + c2);
+    out.push_back(at >= 0 && at < from ? static_cast<std::int64_t>(at) : -1);
+  }
+  return out;
 }
 
-// Label images whose pixels are colours (`channels` above 1), with the setting that reads them.
-void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
-                         Diagnostics& diagnostics) {
-  if (channels == 1) return;
-  diagnostics.error("labels.image.channels", frame_place(frame),
-                    "label image '" + path + "' has " + std::to_string(channels) +
-                        " channels: it is a picture in colours, not one of class ids",
-                    "read the classes from the colours of the class table with " +
-                        label_settings(frame, path, labels_key, ", kind: color"));
+// [H * W] of the colour camera.
+std::vector<float> read_frame_depth(const Camera& color, const std::string& path, const FrameReadRules& rules) {
+  Image<float> depth = read_depth(path, rules.depth_unit_m);
+  if (!rules.confidence.empty()) {
+    const Image<std::uint16_t> confidence = read_ids(rules.confidence);
+    if (confidence.pixels.size() != depth.pixels.size())
+      throw Error(ErrorKind::data, "scene.image.size",
+                  "'" + rules.confidence + "' is " + size_text(confidence.width_px, confidence.height_px) +
+                      " pixels, its depth " + size_text(depth.width_px, depth.height_px),
+                  "export the recording again, or set scene.least_confidence=low");
+    for (std::size_t p = 0; p < depth.pixels.size(); ++p)
+      if (confidence.pixels[p] < rules.least) depth.pixels[p] = 0;
+  }
+  if (rules.depth == DepthGrid::apart) return drawn_depth(depth, rules.depth_camera, color);
+  if (rules.depth == DepthGrid::picture)
+    return at_nearest_pixels(depth.pixels, {depth.width_px, depth.height_px}, {color.width_px, color.height_px});
+  if (rules.depth == DepthGrid::image) {
+    check_size(depth, color, path);
+    return std::move(depth.pixels);
+  }
+  const Camera& lens = rules.depth_camera.camera;
+  const auto rows = by_ray(lens.fy, lens.cy, depth.height_px, color.fy, color.cy, color.height_px),
+             cols = by_ray(lens.fx, lens.cx, depth.width_px, color.fx, color.cx, color.width_px);
+  std::vector<float> out;
+  out.reserve(rows.size() * cols.size());
+  for (const std::int64_t row : rows)
+    for (const std::int64_t col : cols)
+      out.push_back(row < 0 || col < 0 ? 0.0f : depth.pixels[pixel_at(col, row, depth.width_px)]);
+  return out;
 }
 
 // The pixels that a mask lets count [H * W], 0 = masked: those that are not black, or, of a JPEG, whose blacks are not
@@ -153,6 +130,12 @@ Image<std::uint8_t> read_mask(const std::string& path) {
 }
 
 }  // namespace
+
+Camera shown_camera(const FrameInfo& frame) {
+  Camera camera = frame.camera;
+  if (turned_by_quarter(frame.orientation)) std::swap(camera.width_px, camera.height_px);
+  return camera;
+}
 
 void require_folder(const fs::path& folder, const std::string& remedy) {
   if (!fs::is_directory(folder))  // which throws for what cannot be looked at, and so is not missing
@@ -176,37 +159,6 @@ std::vector<std::string> files_with(const std::string& folder, std::span<const s
   return found;
 }
 
-// ScanNet's own sizes are off each other by half a percent.
-void check_shape(const std::string& path, const FrameInfo& frame, const std::string& labels_key,
-                 Diagnostics& diagnostics) {
-  if (path.empty()) return;
-  const Camera& color = frame.camera;
-  const std::string place = frame_place(frame);
-  try {
-    const ImageSize size = depth_size(path);
-    if (!labels_key.empty()) report_color_labels(frame, path, size.channels, labels_key, diagnostics);
-    const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
-    if (std::abs(shape - 1) < 0.02) return;
-    diagnostics.error("scene.image.aspect", place,
-                      "'" + path + "' is " + size_text(size.width_px, size.height_px) + " pixels, the colour image " +
-                          size_text(color.width_px, color.height_px) + ": another aspect ratio",
-                      "export all images of a frame from the same camera");
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), place, e.message(), e.remedy());
-  }
-}
-
-void report_unlabelled(const std::string& folder, std::size_t labelled, std::size_t frames, Diagnostics& diagnostics) {
-  if (labelled == 0 && frames > 0) {
-    diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
-                      "name them like the images, in the same folders, with .png");
-  } else if (labelled < frames) {
-    diagnostics.note(
-        "labels.frames.missing", folder,
-        std::to_string(frames - labelled) + " of " + std::to_string(frames) + " frames have no label image");
-  }
-}
-
 std::map<std::int64_t, std::string> numbered_photographs(const std::string& folder, Diagnostics& diagnostics) {
   std::map<std::int64_t, std::string> out;
   for (const std::string& path : files_with(folder, kPhotographs)) {
@@ -220,99 +172,6 @@ std::map<std::int64_t, std::string> numbered_photographs(const std::string& fold
     }
   }
   return out;
-}
-
-bool FrameFileCheck::present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics) {
-  tell_load_progress("checking", ++checked_, frames_);
-  if (!present(frame, kColorImage, files.color, diagnostics)) return false;
-  for (const Kind& kind : kKinds) {
-    std::string& path = files.*kind.path;
-    if (is_optional(kind.what) && !path.empty() && !present(frame, kind.what, path, diagnostics)) path.clear();
-  }
-  return true;
-}
-
-bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std::string& path,
-                             Diagnostics& diagnostics) {
-  if (is_there(path)) return true;
-  left_out_[what].push_back(frame.name);
-  if (missing_ == MissingFiles::skip) return false;
-  const std::string other = same_with_other_extension(path);
-  diagnostics.error(
-      "scene.file.missing", frame_place(frame),
-      std::string(what) + " '" + path + "' is missing" + (other.empty() ? "" : ", but there is '" + other + "'"),
-      !other.empty()    ? "rename it, or write its name in the index"
-      : has_drive(path) ? "the index names a drive of Windows: write the file's path from the folder of the index"
-                        : "restore the file, drop the frame from the index, or leave out what is missing with --set "
-                          "scene.missing=skip");
-  return false;
-}
-
-ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics,
-                                        const DepthCamera* depth_camera) {
-  ImageSize color;
-  for (const Kind& kind : kKinds) {
-    const std::string& path = files.*kind.path;
-    if (path.empty()) continue;
-    const bool is_depth = kind.path == &FrameFiles::depth, is_label = kind.path == &FrameFiles::label;
-    const Camera camera = is_depth && depth_camera != nullptr ? depth_camera->camera
-                          : kind.shown                        ? shown_camera(frame)
-                                                              : frame.camera;
-    try {
-      const ImageSize size = is_depth ? depth_size(path) : image_size(path);
-      if (kind.path == &FrameFiles::color) {
-        color = size;
-        frame.orientation = size.orientation;
-        if (size.orientation != 1) turned_.push_back(frame.name);
-      }
-      if (size.width_px != camera.width_px || size.height_px != camera.height_px) {
-        OtherSize wrong = other_size(kind.what, path, size, camera);
-        if (kind.shown && turned_by_quarter(frame.orientation)) {
-          wrong.message += " turned as the image's EXIF orientation says (" + std::to_string(frame.orientation) + ")";
-          wrong.remedy = kShownRemedy;
-        } else if (kind.path == &FrameFiles::mask && turned_by_quarter(frame.orientation)) {
-          wrong.remedy = "masks are of the pixels as stored, as COLMAP's are: turn them back";
-        }
-        if (is_label)
-          wrong.remedy += "; labels of another one are scaled with " + label_settings(frame, path, labels_key_, "");
-        diagnostics.error(wrong.code, frame_place(frame), wrong.message, wrong.remedy);
-      } else if (is_label) {
-        report_color_labels(frame, path, size.channels, labels_key_, diagnostics);
-      }
-    } catch (const Error& e) {
-      diagnostics.error(e.code(), frame_place(frame), std::string(kind.what) + " " + e.message(), e.remedy());
-    }
-  }
-  return color;
-}
-
-void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
-  if (!turned_.empty()) {
-    diagnostics.note(
-        "scene.image.orientation", source,
-        std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
-            " images have an EXIF orientation by which viewers turn them; here pixels count as "
-            "they are stored, as cameras and masks of COLMAP do, and labels as drawn over the image as shown: " +
-            first_names(turned_));
-  }
-  if (missing_ == MissingFiles::error) return;
-  std::size_t lost = 0;
-  for (const auto& [what, names] : left_out_) {
-    const std::string count = std::to_string(names.size());
-    if (is_optional(what)) {
-      diagnostics.note("scene.file.skipped", source,
-                       count + " of " + std::to_string(frames_left) + " frames go without a " + what +
-                           ", which is missing: " + first_names(names));
-    } else {
-      lost += names.size();
-      diagnostics.note("scene.file.skipped", source,
-                       count + (names.size() == 1 ? " frame is" : " frames are") + " left out, whose " + what +
-                           " is missing: " + first_names(names));
-    }
-  }
-  if (lost > 0 && frames_left == 0)
-    diagnostics.error("scene.file.missing", source, "the files of all " + std::to_string(lost) + " frames are missing",
-                      "check the path");
 }
 
 void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules,
@@ -338,74 +197,17 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
       for (std::size_t i = 0; i < alpha.size(); ++i) out.used[i] = alpha[i] == 255 ? out.used[i] : 0;
     }
     if (rules.alpha) out.channels.push_back(alpha_channel(color.width_px, color.height_px, alpha));
-    if (!files.depth.empty()) {
-      Image<float> depth = read_depth(files.depth, rules.depth_unit_m);
-      if (rules.depth_camera != nullptr) {
-        out.depth_m = drawn_depth(depth, *rules.depth_camera, frame.camera);
-      } else {
-        check_size(depth, frame.camera, files.depth);
-        out.depth_m = std::move(depth.pixels);
-      }
-    }
-    if (!files.label.empty() && !classes.empty())
-      read_labels(frame, files.label, rules.unknown_labels == UnknownLabels::as_void, classes, out.label);
+    if (!files.depth.empty()) out.depth_m = read_frame_depth(frame.camera, files.depth, rules);
+    if (!files.label.empty() && !classes.empty()) read_labels(frame, files.label, rules, classes, out.label);
     if (!files.instance.empty()) {
-      const Image<std::uint16_t> image = read_shown_ids(frame, files.instance);
+      ImageSize file;
+      const Image<std::uint16_t> image = read_frame_ids(frame, files.instance, rules.labels_of_any_size, file);
       out.instance.assign(image.pixels.begin(), image.pixels.end());
     }
   } catch (Error& e) {
     e.while_doing("frame '" + frame.name + "'");
     throw;  // not a copy: an UnknownLabelError stays one
   }
-}
-
-std::string find_class_file(const std::vector<std::string>& folders) {
-  for (const std::string& folder : folders) {
-    for (const char* name : {"classes.yaml", "classes.yml", "classes.csv", "info_semantic.json"}) {
-      const fs::path path = fs::path(folder) / name;
-      if (is_file(path)) return path.string();
-    }
-  }
-  return {};
-}
-
-ClassTable load_class_file(const std::string& path, const std::vector<std::string>& folders, bool has_labels,
-                           Diagnostics& diagnostics) {
-  const std::string found = path.empty() ? find_class_file(folders) : path;
-  try {
-    if (!found.empty()) {
-      ClassTable table = ClassTable::load(found);
-      if (has_labels && table.empty())
-        diagnostics.error("labels.classes.empty", found, "no classes in it", "write one {id, name} for each class");
-      return table;
-    }
-  } catch (const Error& e) {
-    const bool named = e.message().find(found) != std::string::npos;
-    diagnostics.error(e.code(), named ? "" : found, e.message(), e.remedy());
-    return {};
-  }
-  if (has_labels) {
-    diagnostics.error(
-        "labels.classes.none", folders.front(),
-        "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
-        "write classes.yaml there, with a line such as '- {id: 1, name: wall}' for each class, or name a table with "
-        "--set "
-        "scene.classes=FILE");
-  }
-  return {};
-}
-
-std::string FrameNames::of(const std::string& image_path) {
-  const fs::path path(with_slashes(image_path));
-  std::string name = path.stem().string();
-  if (next_.count(name) > 0) {
-    name = (path.parent_path().filename() / path.stem()).string();
-    for (char& c : name) c = c == '/' ? '_' : c;
-  }
-  const std::string base = name;
-  while (next_.count(name) > 0) name = base + "_" + std::to_string(next_[base]++);
-  next_.emplace(name, 2);
-  return name;
 }
 
 std::string with_slashes(std::string path) {
@@ -589,67 +391,6 @@ std::vector<fs::path> folders_like(const fs::path& folder, const fs::path& image
   tails.insert(tails.end(), singles.begin(), singles.end());
   tails.push_back(folder);
   return tails;
-}
-
-FrameMasks::FrameMasks(const std::string& root, const std::string& folder)
-    : root_(root), folder_(folder.empty() ? "" : (fs::path(root) / folder).string()) {}
-
-void FrameMasks::add_to(FrameFiles& files) {
-  ++images_;
-  if (files.mask.empty() && !folder_.empty()) files.mask = in_folder(files.color);
-  const fs::path image(files.color);
-  const std::string beside = names_.of((image.parent_path() / (kMovingMask + image.stem().string() + ".png")).string());
-  if (!is_file(beside)) return;
-  files.moving = beside;
-  ++moving_;
-}
-
-std::string FrameMasks::in_folder(const std::string& image) {
-  ++asked_;
-  const fs::path path(image);
-  for (const fs::path& where : folders_like(folder_, path)) {
-    for (const std::string& name : {path.stem().string(), path.filename().string()}) {
-      for (const char* extension : {".png", ".jpg", ".jpeg"}) {
-        const std::string file = names_.of((where / (name + extension)).string());
-        std::error_code unknown;
-        if (!is_file(file) || fs::equivalent(file, path, unknown)) continue;
-        ++found_;
-        images_of_[file].push_back(image);
-        return file;
-      }
-    }
-  }
-  return "";
-}
-
-void FrameMasks::report(Diagnostics& diagnostics) const {
-  if (moving_ > 0)
-    diagnostics.note("scene.mask.moving", root_,
-                     std::to_string(moving_) + " of " + std::to_string(images_) + " images have a " + kMovingMask +
-                         "NAME.png next to them: what is not black in it is masked");
-  if (folder_.empty()) {
-    if (is_folder(fs::path(root_) / "masks"))
-      diagnostics.note(
-          "scene.mask.unread", root_,
-          "there is a folder 'masks', which is not read; scene.masks: masks leaves out what is black in it");
-    return;
-  }
-  for (const auto& [file, images] : images_of_) {
-    if (images.size() < 2) continue;
-    diagnostics.error("scene.mask.ambiguous", "'" + file + "'",
-                      "is the mask of '" + images[0] + "' and of '" + images[1] + "' by its name",
-                      "put masks into folders called as those of the images");
-    break;
-  }
-  if (found_ == 0) {
-    diagnostics.error("scene.mask.missing", folder_,
-                      is_folder(folder_) ? "no mask for any image" : "the folder of masks is missing",
-                      "name the masks as the images, with .png, or correct scene.masks");
-  } else if (found_ < asked_) {
-    diagnostics.note("scene.mask.missing", folder_,
-                     std::to_string(asked_ - found_) + " of " + std::to_string(asked_) +
-                         " images have no mask: all of their pixels count");
-  }
 }
 
 }  // namespace semfield

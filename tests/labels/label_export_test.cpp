@@ -12,6 +12,7 @@
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "system/files.h"
@@ -376,8 +377,8 @@ TEST(TurnedPictures, LabelImagesOfTheSceneAreReadAsShown) {
     FrameInfo frame = c.scene.info.frames[0];
     frame.orientation = 1;
     Diagnostics found;
-    FrameFileCheck check(MissingFiles::error, "");
-    check.check_headers(frame, files, found);
+    FrameFileCheck check(MissingFiles::error);
+    check.check_headers(frame, files, {}, found);
     for (const Diagnostic& d : found.all()) ADD_FAILURE() << d.text();
     EXPECT_EQ(frame.orientation, orientation);
     FrameBuffer out;

@@ -10,7 +10,7 @@
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
-#include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "tests/labels/reader_case.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -107,7 +107,7 @@ SceneInfo find_photographs(const ArkitScenesParams&, PosedPhotographs& files, Di
     without_pose += pose == nullptr ? 1 : 0;
     if (pose == nullptr) continue;
     PosedPhotograph photo;
-    photo.image = image;
+    photo.color = image;
     photo.world_from_camera = *pose;
     const std::string lens = intrinsics_of(root / "lowres_wide_intrinsics", stem.substr(0, at), time);
     const std::vector<TextRow> rows = lens.empty() ? std::vector<TextRow>() : read_text_rows(lens, '\n');
@@ -130,7 +130,7 @@ SceneInfo find_photographs(const ArkitScenesParams&, PosedPhotographs& files, Di
     diagnostics.note("scene.pose.skipped", files.root(),
                      fmt::format("{} of {} photographs are left out: the trajectory has no pose within {:g} ms of them",
                                  without_pose, images.size(), 1000 * kSameTime_s));
-  SceneInfo info = files.open(photos, false, diagnostics);
+  SceneInfo info = files.open(std::move(photos), {}, diagnostics);
   info.tracked = true;
   return info;
 }

@@ -149,15 +149,15 @@ SceneInfo find_photographs(const ColmapParams& params, PosedPhotographs& files, 
   std::vector<PosedPhotograph> photos;
   for (const ColmapImage& in : model.images) {
     PosedPhotograph photo;
-    photo.image = finder.of((root / params.images / in.name).string());
+    photo.color = finder.of((root / params.images / in.name).string());
     photo.name = in.name;
     photo.place = in.place;
     photo.camera = model.cameras.at(in.camera);
-    photo.fitted = true;
+    photo.intrinsics = Intrinsics::fitted;
     photo.world_from_camera = in.world_from_camera;
     if (photo.camera.width_px > 0) photos.push_back(std::move(photo));  // one without a size was refused
   }
-  SceneInfo info = files.open(photos, false, diagnostics, folder);
+  SceneInfo info = files.open(std::move(photos), {.poses = folder}, diagnostics);
   info.metric = false;
   set_extent(model, info);
   return info;

@@ -75,7 +75,7 @@ SceneInfo find_photographs(const LlffParams& params, PosedPhotographs& files, Di
     const float* row = poses.values.data() + i * kRow;
     const auto at = [row](std::size_t r, std::size_t c) { return static_cast<double>(row[5 * r + c]); };
     PosedPhotograph photo;
-    photo.image = images[i];
+    photo.color = images[i];
     for (std::size_t r = 0; r < 3; ++r) photo.world_from_camera.r[r] = {at(r, 1), at(r, 0), -at(r, 2)};
     photo.world_from_camera.t = {at(0, 3), at(1, 3), at(2, 3)};
     const double height = at(0, 4), width = at(1, 4), focal = at(2, 4);
@@ -101,7 +101,7 @@ SceneInfo find_photographs(const LlffParams& params, PosedPhotographs& files, Di
     c.cy = 0.5 * c.height_px;
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(photos, false, diagnostics, path);
+  SceneInfo info = files.open(std::move(photos), {.poses = path}, diagnostics);
   info.metric = false;  // nothing in the file tells the unit
   return info;
 }

@@ -29,7 +29,7 @@ bool read_camera(const std::string& path, PosedPhotograph& photo, Diagnostics& d
     root = read_pose_json<json>(path, "export the capture again");
   } catch (const Error& e) {
     const bool missing = e.kind() == ErrorKind::no_input;
-    diagnostics.error(missing ? Code("scene.pose.missing") : e.code(), "'" + photo.image + "'", e.message(),
+    diagnostics.error(missing ? Code("scene.pose.missing") : e.code(), "'" + photo.color + "'", e.message(),
                       missing ? "export the capture again, or remove the image" : e.remedy());
     return false;
   }
@@ -73,14 +73,14 @@ SceneInfo find_photographs(const PolycamParams&, PosedPhotographs& files, Diagno
   for (const std::string& image : files_with((keyframes / (kind + "images")).string(), kPhotographs)) {
     const std::string stem = fs::path(image).stem().string();
     PosedPhotograph photo;
-    photo.image = image;
+    photo.color = image;
     photo.high = 255;
     if (!read_camera((keyframes / (kind + "cameras") / (stem + ".json")).string(), photo, diagnostics)) continue;
     if (has_depth) photo.depth = (keyframes / "depth" / (stem + ".png")).string();
     photo.confidence = (keyframes / "confidence" / (stem + ".png")).string();
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(photos, true, diagnostics);
+  SceneInfo info = files.open(std::move(photos), {.opengl_files = true}, diagnostics);
   info.tracked = true;
   return info;
 }

@@ -147,7 +147,7 @@ SceneInfo find_photographs(const Record3dParams&, PosedPhotographs& files, Diagn
       continue;
     }
     PosedPhotograph photo;
-    photo.image = image;
+    photo.color = image;
     if (has_depth) photo.depth = (root / "depth" / (fs::path(image).stem().string() + ".exr")).string();
     const std::array<double, 7>& pose = recording.poses[i];
     set_rotation(photo.world_from_camera, {pose[3], pose[0], pose[1], pose[2]});
@@ -160,7 +160,7 @@ SceneInfo find_photographs(const Record3dParams&, PosedPhotographs& files, Diagn
     }
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(photos, true, diagnostics);
+  SceneInfo info = files.open(std::move(photos), {.opengl_files = true}, diagnostics);
   info.tracked = true;
   return info;
 }

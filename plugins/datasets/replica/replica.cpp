@@ -19,7 +19,6 @@
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "loading/posed_photographs.h"
-#include "plugin/dataset.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -33,17 +32,13 @@ using nlohmann::json;
 enum class ReplicaSplit { by_steps, paper };
 SEMFIELD_CHOICES(ReplicaSplit, "auto", "paper");
 
-struct ReplicaParams {
-  std::string root;
+/// Its keys are those of PhotographParams but `every`, `least_confidence` and `masks`.
+struct ReplicaParams : PhotographParams {
+  ReplicaParams() { label_dir = "semantic_class"; }
   std::string sequence;
   double hfov_deg = 90;
-  std::string label_dir = "semantic_class";
   std::string test_label_dir;
-  std::string classes;
-  UnknownLabels unknown_labels = UnknownLabels::error;
-  MissingFiles missing = MissingFiles::error;
   ReplicaSplit split = ReplicaSplit::by_steps;
-  std::int32_t test_every = 8;
   std::int32_t train_step = 0;
   std::int32_t train_offset = 0;
   std::int32_t test_step = 0;
@@ -154,12 +149,11 @@ std::string recognise(const std::string& path, ReplicaParams& p) {
   return is_slam_sequence(path) ? "Replica's traj.txt and results/, as NICE-SLAM has them" : "";
 }
 
-class Replica final : public Dataset {
+namespace {
+
+class Replica {
  public:
-  Replica(const ReplicaParams& params, const DatasetBuild& build)
-      : params_(params),
-        root_((fs::path(build.config_dir) / params.root).string()),
-        class_file_(build.path_of(params.classes)) {
+  Replica(const ReplicaParams& params, PosedPhotographs& files) : params_(params), files_(files), root_(files.root()) {
     if (params_.split == ReplicaSplit::paper) {
       params_.train_step = params_.test_step = 5;
       params_.train_offset = 0;
@@ -167,13 +161,8 @@ class Replica final : public Dataset {
     }
   }
 
-  SceneInfo open(Diagnostics& diagnostics) override {
-    const std::string folder = sequence_folder();
-    info_ = {};
-    files_.clear();
-    info_.name = fs::weakly_canonical(root_).filename().string();
-    info_.near_hint_m = 0.1;  // the rooms' range [Zhi21, section 4.1]
-    info_.far_hint_m = 10;
+  SceneInfo open(Diagnostics& diagnostics) {
+    const std::string folder = sequence_folder(), trajectory = (fs::path(folder) / trajectory_file()).string();
     for (const std::string& labels : {params_.label_dir, params_.test_label_dir}) {
       // The default folder may be absent (a scene without labels); one that was asked for may not.
       const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
@@ -184,29 +173,19 @@ class Replica final : public Dataset {
     }
     index_labels(folder, diagnostics);
     std::size_t rows = 0;
-    const std::vector<Row> trajectory =
-        read_trajectory((fs::path(folder) / trajectory_file()).string(), diagnostics, rows);
+    std::vector<PosedPhotograph> photos = read_trajectory(folder, trajectory, diagnostics, rows);
     check_poses_for_images(folder, rows, diagnostics);
-
-    const Camera camera = camera_of(folder, trajectory, diagnostics);
-    bool has_labels = false;
-    FrameFileCheck check(params_.missing, "label_dir");
-    check.expect(trajectory.size());
-    for (const Row& row : trajectory) {
-      FrameInfo frame;
-      frame.split = split_of(row.number);
-      FrameFiles files = files_of(folder, row.number, frame.split);
-      frame.name = slam_ ? fs::path(files.color).stem().string() : "rgb_" + std::to_string(row.number);
-      frame.source = files.color;
-      frame.camera = camera;
-      frame.world_from_camera = row.pose;
-      if (!check.present(frame, files, diagnostics)) continue;
-      files.tell_channels(frame);
-      has_labels = has_labels || frame.has_labels;
-      check.check_headers(frame, files, diagnostics);
-      info_.frames.push_back(frame);
-      files_.push_back(files);
-    }
+    set_cameras(folder, photos, diagnostics);
+    SceneInfo info = files_.open(std::move(photos),
+                                 {.read = {},
+                                  .place = folder,
+                                  .poses = trajectory,
+                                  .with_masks = false,
+                                  .labels_by_name = false,
+                                  .class_folders = {folder, root_, (fs::path(root_) / "habitat").string()}},
+                                 diagnostics);
+    info.near_hint_m = 0.1;  // the rooms' range [Zhi21, section 4.1]
+    info.far_hint_m = 10;
     std::size_t unused = 0;
     for (std::size_t number = 0; number < rows; ++number)
       unused += split_of(static_cast<int>(number)) == Split::unused ? 1 : 0;
@@ -215,24 +194,11 @@ class Replica final : public Dataset {
                        std::to_string(unused) + " of " + std::to_string(rows) +
                            " frames are in neither split (scene.split, or train_step and test_step)");
     }
-    check.report(folder, info_.frames.size(), diagnostics);
-    report_unlabelled(folder, diagnostics);
-    info_.classes =
-        load_class_file(class_file_, {folder, root_, (fs::path(root_) / "habitat").string()}, has_labels, diagnostics);
-    return info_;
-  }
-
-  void read(int frame, FrameBuffer& out) const override {
-    const auto i = static_cast<std::size_t>(frame);
-    read_frame_files(info_.frames.at(i), files_.at(i),
-                     {.depth_unit_m = depth_unit_m_, .unknown_labels = params_.unknown_labels}, info_.classes, out);
+    report_unlabelled(info, folder, diagnostics);
+    return info;
   }
 
  private:
-  struct Row {
-    int number = 0;  ///< <i> of rgb_<i>.png
-    Pose pose;
-  };
   std::string sequence_folder() {
     slam_ = false;
     require_folder(root_, "check scene.root");
@@ -254,14 +220,12 @@ class Replica final : public Dataset {
   std::string color_folder() const { return slam_ ? "results" : "rgb"; }
   const char* color_prefix() const { return slam_ ? "frame" : "rgb_"; }
   const char* trajectory_file() const { return slam_ ? "traj.txt" : "traj_w_c.txt"; }
-  // One camera for all frames, from the first image that can be read; check_headers finds those of another size.
-  Camera camera_of(const std::string& folder, const std::vector<Row>& trajectory, Diagnostics& diagnostics) {
+  // One camera for all frames, of the size of the first image that can be read; headers tell those of another size.
+  void set_cameras(const std::string& folder, std::vector<PosedPhotograph>& photos, Diagnostics& diagnostics) const {
     Camera camera;
-    std::string image;
-    for (const Row& row : trajectory) {
+    for (const PosedPhotograph& photo : photos) {
       try {
-        image = files_of(folder, row.number, Split::train).color;
-        const ImageSize size = image_size(image);
+        const ImageSize size = image_size(photo.color);
         camera.width_px = size.width_px;
         camera.height_px = size.height_px;
         break;
@@ -273,24 +237,21 @@ class Replica final : public Dataset {
     camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
     camera.cx = 0.5 * camera.width_px;
     camera.cy = 0.5 * camera.height_px;
-    depth_unit_m_ = 0.001;
-    if (!slam_) return camera;
-    const SlamCamera told = read_slam_camera(folder, diagnostics);
-    depth_unit_m_ = told.depth_unit_m;
-    if (told.camera.width_px == 0 || camera.width_px == 0 || params_.hfov_deg != ReplicaParams{}.hfov_deg)
-      return camera;
-    camera = told.camera;
-    CameraFit sizes;
-    if (sizes.fit(image, "'" + image + "'", camera, diagnostics))
-      (void)(check_principal_point(camera, folder, diagnostics) && check_camera(camera, folder, diagnostics));
-    sizes.report(folder, diagnostics);
-    return camera;
+    const SlamCamera told = slam_ ? read_slam_camera(folder, diagnostics) : SlamCamera{{}, 0.001};
+    const bool is_told =
+        told.camera.width_px > 0 && camera.width_px > 0 && params_.hfov_deg == ReplicaParams{}.hfov_deg;
+    for (PosedPhotograph& photo : photos) {
+      photo.camera = is_told ? told.camera : camera;
+      photo.intrinsics = is_told ? Intrinsics::stated : Intrinsics::exact;
+      photo.depth_unit_m = told.depth_unit_m;
+    }
   }
 
-  std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const {
+  // A photograph for each pose of a split.
+  std::vector<PosedPhotograph> read_trajectory(const std::string& folder, const std::string& path,
+                                               Diagnostics& diagnostics, std::size_t& rows) const {
     const std::string text = read_pose_file(path);
-    std::vector<Row> out;
-    std::vector<std::string> skipped;
+    std::vector<PosedPhotograph> out;
     std::string_view rest = text, row;
     rows = 0;
     for (int line = 1; next_line(rest, row); ++line) {
@@ -298,7 +259,7 @@ class Replica final : public Dataset {
       const std::string_view bad = parse_numbers(row, numbers);
       if (numbers.empty() && bad.empty()) continue;
       const std::string place = path + ":" + std::to_string(line);
-      Row found{static_cast<int>(rows++), {}};
+      const auto number = static_cast<int>(rows++);
       if (numbers.size() != 16 || !bad.empty()) {
         const bool quaternion = bad.empty() && (numbers.size() == 7 || numbers.size() == 8);  // 8: a time stands first
         diagnostics.error(
@@ -311,14 +272,15 @@ class Replica final : public Dataset {
             "write one camera-to-world matrix a line, row by row");
         continue;
       }
-      if (split_of(found.number) == Split::unused) continue;
-      if (!check_last_row(numbers, place, diagnostics)) continue;
-      found.pose = pose_from_rows(numbers);
-      const PoseState state = check_pose(found.pose, place, diagnostics);
-      if (state == PoseState::not_finite) skipped.push_back(std::to_string(found.number));
-      if (state == PoseState::good) out.push_back(found);
+      const Split split = split_of(number);
+      if (split == Split::unused) continue;
+      PosedPhotograph photo;
+      static_cast<FrameFiles&>(photo) = files_of(folder, number, split);
+      photo.place = place;
+      photo.matrix = std::move(numbers);
+      photo.split = split;
+      out.push_back(std::move(photo));
     }
-    report_skipped(skipped, out.size(), path, diagnostics);
     return out;
   }
 
@@ -387,7 +349,6 @@ class Replica final : public Dataset {
   // none.
   void index_labels(const std::string& folder, Diagnostics& diagnostics) {
     constexpr std::string_view kPrefix = "semantic_class_";
-    label_files_.clear();
     for (const std::string& labels : {params_.label_dir, params_.test_label_dir, ReplicaParams{}.label_dir}) {
       const fs::path where = fs::path(folder) / labels;
       if (params_.label_dir.empty() && params_.test_label_dir.empty()) return;
@@ -424,15 +385,15 @@ class Replica final : public Dataset {
     return own.empty() && label_files_.count(params_.label_dir) > 0 ? find(ReplicaParams{}.label_dir) : own;
   }
 
-  void report_unlabelled(const std::string& folder, Diagnostics& diagnostics) const {
+  void report_unlabelled(const SceneInfo& info, const std::string& folder, Diagnostics& diagnostics) const {
     for (const auto& [split, what, labels] :
          {std::tuple{Split::train, "training", params_.label_dir},
           std::tuple{Split::test, "test",
                      params_.test_label_dir.empty() ? params_.label_dir : params_.test_label_dir}}) {
       if (label_files_.count(labels) == 0) continue;
       const auto in_split = [&, wanted = split](const FrameInfo& f) { return f.split == wanted; };
-      const auto all = std::count_if(info_.frames.begin(), info_.frames.end(), in_split);
-      const auto missing = std::count_if(info_.frames.begin(), info_.frames.end(),
+      const auto all = std::count_if(info.frames.begin(), info.frames.end(), in_split);
+      const auto missing = std::count_if(info.frames.begin(), info.frames.end(),
                                          [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
       const std::string place = (fs::path(folder) / labels).string();
       if (all > 0 && missing == all) {
@@ -447,17 +408,20 @@ class Replica final : public Dataset {
   }
 
   ReplicaParams params_;
+  PosedPhotographs& files_;
   std::string root_;
-  std::string class_file_;
-  bool slam_ = false;  ///< in the layout of NICE-SLAM
-  double depth_unit_m_ = 0.001;
+  bool slam_ = false;                                              ///< in the layout of NICE-SLAM
   std::map<std::string, std::map<int, std::string>> label_files_;  ///< folder as in the parameters -> <i> -> path
-  SceneInfo info_;
-  std::vector<FrameFiles> files_;
 };
 
+}  // namespace
+
+SceneInfo find_photographs(const ReplicaParams& params, PosedPhotographs& files, Diagnostics& diagnostics) {
+  return Replica(params, files).open(diagnostics);
+}
+
 SEMFIELD_PLUGIN_MODULE(replica, "1.0", [](Registry& registry) {
-  registry.add_dataset<Replica, ReplicaParams>(
+  registry.add_dataset<PhotographDataset<ReplicaParams>, ReplicaParams>(
       "replica", "Pre-rendered Replica sequences: poses, colour, depth, class and instance images.");
 })
 

@@ -13,7 +13,7 @@
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
-#include "plugin/dataset.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
@@ -25,15 +25,14 @@ namespace fs = std::filesystem;
 
 SEMFIELD_CHOICES(ScannetIds, "raw", "nyu40", "eigen13");
 
-struct ScannetParams {
-  std::string root;
+/// Its keys are those of PhotographParams but `every`, `least_confidence` and `masks`.
+struct ScannetParams : PhotographParams {
+  ScannetParams() {
+    label_dir = "label-filt";
+    test_every = 2;
+  }
   ScannetIds class_ids = ScannetIds::nyu40;
-  std::string classes;
-  std::string label_dir = "label-filt";
   std::int32_t max_frames = 300;
-  std::int32_t test_every = 2;
-  UnknownLabels unknown_labels = UnknownLabels::error;
-  MissingFiles missing = MissingFiles::error;
 };
 
 void describe(ParamVisitor& visit, ScannetParams& p) {
@@ -48,10 +47,6 @@ void describe(ParamVisitor& visit, ScannetParams& p) {
                  "every N-th of the frames taken is held out for tests, 2 = every other; 0 = none", {0, 1e6});
   SEMFIELD_PARAM(visit, p, unknown_labels, "how a raw id outside the label table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
-}
-
-void validate(const ScannetParams& p, Diagnostics& diagnostics) {
-  check_root_and_test_every(p.root, p.test_every, diagnostics);
 }
 
 std::string recognise(const std::string& path, ScannetParams& p) {
@@ -92,148 +87,73 @@ std::optional<std::vector<double>> read_matrix(const std::string& path, const st
   return numbers;
 }
 
-// The pixel of a second camera, of focal length f2 and centre c2, that sees the centre of each of `to` pixels of a
-// first one (f1, c1); -1 outside its `from` pixels.
-std::vector<std::int64_t> by_ray(double f2, double c2, std::int32_t from, double f1, double c1, std::int32_t to) {
-  std::vector<std::int64_t> out;
-  for (std::int32_t i = 0; i < to; ++i) {
-    const double at = std::floor(f2 * (i + 0.5 - c1) / f1 + c2);
-    out.push_back(at >= 0 && at < from ? static_cast<std::int64_t>(at) : -1);
-  }
-  return out;
-}
-
-// out[row, col] = value(image pixel), or `outside`.
-template <class T, class Pixel, class Value>
-std::vector<T> resample(const Image<Pixel>& image, const std::vector<std::int64_t>& rows,
-                        const std::vector<std::int64_t>& cols, T outside, Value value) {
-  std::vector<T> out;
-  out.reserve(rows.size() * cols.size());
-  for (const std::int64_t row : rows) {
-    for (const std::int64_t col : cols) {
-      const std::int64_t pixel = row * image.width_px + col;
-      out.push_back(row < 0 || col < 0 ? outside : value(static_cast<std::size_t>(pixel)));
-    }
-  }
-  return out;
-}
-
-}  // namespace
-
 /// A frame is delivered by the colour camera, at its size. Depth is looked up at the depth camera's pixel that the
 /// colour pixel's ray falls into (both look from the pose, so z-depth is the same), labels and instances, which stand
 /// for the colour picture at whatever size, at the nearest pixel.
-class Scannet final : public Dataset {
+class Scannet {
  public:
-  Scannet(const ScannetParams& params, const DatasetBuild& build)
-      : params_(params),
-        root_((fs::path(build.config_dir) / params.root).string()),
-        table_file_(build.path_of(params.classes)) {}
+  Scannet(const ScannetParams& params, PosedPhotographs& files) : params_(params), files_(files), root_(files.root()) {}
 
-  SceneInfo open(Diagnostics& diagnostics) override {
-    info_ = {};
-    files_.clear();
-    index_of_raw_.assign(kRawIds,
-                         kVoid);  // until the table is read: a table that fails is one error, not one per frame
+  SceneInfo open(Diagnostics& diagnostics) {
     const fs::path root(root_);
-    FrameFileCheck check(params_.missing, "label_dir");
-    const std::vector<View> views = list_views(check, diagnostics);
-    info_.name = fs::weakly_canonical(root).filename().string();
-    has_ = {fs::is_directory(root / "depth"), !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir),
-            fs::is_directory(root / "instance-filt")};
-    if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_[1])
+    std::vector<PosedPhotograph> views = list_views(diagnostics);
+    const bool has_depth = fs::is_directory(root / "depth"), has_instances = fs::is_directory(root / "instance-filt");
+    const bool has_labels = !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir);
+    if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_labels)
       diagnostics.error("labels.folder.missing", (root / params_.label_dir).string(), "label folder is missing",
                         "check scene.label_dir");
-    if (views.empty()) {
-      check.report(root_, 0, diagnostics);
-      return info_;
+    PhotographRules rules{.with_masks = false, .labels_by_name = false, .classes = ClassTable()};
+    if (views.empty()) return files_.open({}, std::move(rules), diagnostics);
+    for (std::size_t rank = 0; rank < views.size(); ++rank) {
+      PosedPhotograph& view = views[rank];
+      const std::string file = fs::path(view.color).stem().string() + ".png";
+      if (has_depth) view.depth = (root / "depth" / file).string();
+      // Not every frame is labelled.
+      if (const fs::path label = root / params_.label_dir / file; has_labels && fs::exists(label))
+        view.label = label.string();
+      if (has_instances) view.instance = (root / "instance-filt" / file).string();
+      // Which is held out: 1, 3, 5, ... of the default 2.
+      view.split = HoldOut{params_.test_every, params_.test_every - 1}.split_of(rank, views.size());
+      view.intrinsics = Intrinsics::exact;
     }
-
-    std::vector<std::string> colors, depths;
-    for (const View& view : views) {
-      colors.push_back(view.color);
-      depths.push_back((root / "depth" / (fs::path(view.color).stem().string() + ".png")).string());
-    }
-    color_ = read_camera("intrinsic_color.txt", colors, diagnostics);
-    if (has_[0]) depth_ = read_camera("intrinsic_depth.txt", depths, diagnostics);
+    const Camera color = read_camera("intrinsic_color.txt", views, &FrameFiles::color, diagnostics);
+    for (PosedPhotograph& view : views) view.camera = color;
+    rules.read.depth = DepthGrid::same_place;
+    if (has_depth)
+      rules.read.depth_camera.camera = read_camera("intrinsic_depth.txt", views, &FrameFiles::depth, diagnostics);
     check_extrinsics(diagnostics);
-    check.expect(views.size());
-    for (std::size_t rank = 0; rank < views.size(); ++rank)
-      add_frame(views[rank], rank, views.size(), check, diagnostics);
-    check.report(root_, info_.frames.size(), diagnostics);
+    rules.read.labels_of_any_size = true;
+    if (has_labels) load_classes(rules, diagnostics);
+    SceneInfo info = files_.open(std::move(views), std::move(rules), diagnostics);
     const auto unlabelled =
-        std::count_if(info_.frames.begin(), info_.frames.end(), [](const FrameInfo& f) { return !f.has_labels; });
-    if (has_[1] && unlabelled > 0) {
+        std::count_if(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return !f.has_labels; });
+    if (has_labels && unlabelled > 0) {
       diagnostics.note(
           "labels.frames.missing", (root / params_.label_dir).string(),
-          std::to_string(unlabelled) + " of " + std::to_string(info_.frames.size()) + " frames have no label image");
+          std::to_string(unlabelled) + " of " + std::to_string(info.frames.size()) + " frames have no label image");
     }
-    if (has_[1]) load_classes(diagnostics);
-    return info_;
-  }
-
-  void read(int frame, FrameBuffer& out) const override {
-    const auto i = static_cast<std::size_t>(frame);
-    const FrameInfo& info = info_.frames.at(i);
-    const FrameFiles& files = files_.at(i);
-    const Camera& c = info.camera;
-    read_frame_files(info, {files.color, "", "", ""}, FrameReadRules{}, info_.classes, out);
-    try {
-      if (!files.depth.empty()) {
-        const Image<float> image = read_depth(files.depth);
-        out.depth_m = resample(image, by_ray(depth_.fy, depth_.cy, image.height_px, c.fy, c.cy, c.height_px),
-                               by_ray(depth_.fx, depth_.cx, image.width_px, c.fx, c.cx, c.width_px), 0.0f,
-                               [&](std::size_t p) { return image.pixels[p]; });
-      }
-      if (!files.label.empty()) {
-        const Image<std::uint16_t> image = read_ids(files.label);
-        UnknownValues unknown;
-        const auto index = [&](std::size_t p) {
-          const std::int16_t found = index_of_raw_[image.pixels[p]];
-          if (found != kUnknown) return found;
-          if (params_.unknown_labels == UnknownLabels::error) unknown.try_emplace(std::to_string(image.pixels[p]), p);
-          return kVoid;
-        };
-        out.label = resample(image, nearest_pixels(image.height_px, c.height_px),
-                             nearest_pixels(image.width_px, c.width_px), kVoid, index);
-        if (!unknown.empty())
-          throw UnknownLabelError("raw id", std::move(unknown), files.label, image.width_px, kUnknownLabelRemedy);
-      }
-      if (!files.instance.empty()) {
-        const Image<std::uint16_t> image = read_ids(files.instance);
-        out.instance =
-            resample(image, nearest_pixels(image.height_px, c.height_px), nearest_pixels(image.width_px, c.width_px),
-                     std::int32_t{0}, [&](std::size_t p) { return std::int32_t{image.pixels[p]}; });
-      }
-    } catch (Error& e) {
-      e.while_doing("frame '" + info.name + "'");
-      throw;  // not a copy: an UnknownLabelError stays one
-    }
+    return info;
   }
 
  private:
-  struct View {
-    int number = 0;  ///< <id> of color/<id>.jpg
-    std::string color;
-    Pose pose;
-  };
-  std::vector<View> list_views(FrameFileCheck& check, Diagnostics& diagnostics) const {
+  std::vector<PosedPhotograph> list_views(Diagnostics& diagnostics) const {
     const fs::path root(root_);
     for (const fs::path& folder : {root, root / "color", root / "pose", root / "intrinsic"})
       require_folder(folder, "check scene.root; it names the folder of one exported scene");
-    std::vector<View> out;
+    std::vector<PosedPhotograph> out;
     std::vector<std::string> skipped;
     for (const auto& [number, path] : numbered_photographs((root / "color").string(), diagnostics)) {
       const std::string stem = fs::path(path).stem().string(), pose = (root / "pose" / (stem + ".txt")).string();
       FrameInfo frame;
       frame.name = stem;
       frame.source = path;
-      if (!check.present(frame, "pose", pose, diagnostics)) continue;
+      if (!files_.check().present(frame, "pose", pose, diagnostics)) continue;
       const auto matrix = read_matrix(pose, frame_place(frame), diagnostics);
       if (!matrix) continue;
       if (std::all_of(matrix->begin(), matrix->end(), [](double v) { return std::isfinite(v); })) {
         if (!check_last_row(*matrix, frame_place(frame), diagnostics)) continue;
-        out.push_back({static_cast<int>(number), path, pose_from_rows(*matrix)});
+        out.emplace_back().color = path;
+        out.back().matrix = *matrix;
       } else {
         skipped.push_back(stem);
       }
@@ -244,19 +164,20 @@ class Scannet final : public Dataset {
       diagnostics.note("scene.frames.taken", root_,
                        std::to_string(taken) + " of " + std::to_string(out.size()) +
                            " frames with a pose are taken, evenly spaced (scene.max_frames)");
-      for (std::size_t k = 0; k < taken; ++k) out[k] = out[k * out.size() / taken];
+      for (std::size_t k = 0; k < taken; ++k) out[k] = PosedPhotograph(out[k * out.size() / taken]);
       out.resize(taken);
     }
     return out;
   }
 
   // ScanNet counts pixel centres as whole numbers (its depth camera has cx = 319.5 at 640 pixels): 0.5 is added.
-  Camera read_camera(const std::string& file, const std::vector<std::string>& images, Diagnostics& diagnostics) const {
+  Camera read_camera(const std::string& file, const std::vector<PosedPhotograph>& views,
+                     std::string FrameFiles::*images, Diagnostics& diagnostics) const {
     const std::string path = (fs::path(root_) / "intrinsic" / file).string();
     Camera camera;
-    for (const std::string& image : images) {
+    for (const PosedPhotograph& view : views) {
       try {
-        const ImageSize size = image_size(image);
+        const ImageSize size = image_size(view.*images);
         camera.width_px = size.width_px;
         camera.height_px = size.height_px;
         break;
@@ -302,39 +223,9 @@ class Scannet final : public Dataset {
     }
   }
 
-  void add_frame(const View& view, std::size_t rank, std::size_t views, FrameFileCheck& check,
-                 Diagnostics& diagnostics) {
-    const std::string stem = fs::path(view.color).stem().string();
-    const auto file_in = [&](const std::string& folder) {
-      return (fs::path(root_) / folder / (stem + ".png")).string();
-    };
-    FrameInfo frame;
-    frame.name = stem;
-    frame.source = view.color;
-    frame.camera = color_;
-    frame.world_from_camera = view.pose;
-    if (check_pose(frame.world_from_camera, frame_place(frame), diagnostics) != PoseState::good) return;
-    FrameFiles files{view.color, has_[0] ? file_in("depth") : "", has_[1] ? file_in(params_.label_dir) : "",
-                     has_[2] ? file_in("instance-filt") : ""};
-    if (has_[1] && !fs::exists(files.label)) files.label.clear();  // not every frame is labelled
-    if (!check.present(frame, files, diagnostics)) return;
-    files.tell_channels(frame);
-    // Which is held out: 1, 3, 5, ... of the default 2.
-    frame.split = HoldOut{params_.test_every, params_.test_every - 1}.split_of(rank, views);
-    check.check_headers(frame, {files.color, "", "", ""}, diagnostics);
-    // The other channels have sizes of their own: depth that of its camera, the rest the shape of the colour picture.
-    FrameInfo other = frame;
-    other.camera = depth_;
-    check.check_headers(other, {"", files.depth, "", ""}, diagnostics);
-    check_shape(files.label, frame, "label_dir", diagnostics);
-    check_shape(files.instance, frame, "", diagnostics);
-    info_.frames.push_back(frame);
-    files_.push_back(files);
-  }
-
-  void load_classes(Diagnostics& diagnostics) {
+  void load_classes(PhotographRules& rules, Diagnostics& diagnostics) const {
     const fs::path root = fs::weakly_canonical(root_);
-    std::string path = table_file_;
+    std::string path = files_.class_file();
     for (const fs::path& folder : {root, root.parent_path()}) {
       if (path.empty() && fs::exists(folder / kTableName)) path = (folder / kTableName).string();
     }
@@ -344,35 +235,38 @@ class Scannet final : public Dataset {
                                "copy the file there, or set scene.classes");
     }
     try {
-      info_.classes = load_scannet_classes(path, params_.class_ids);
-      if (info_.classes.valid_count() == 0) {
+      rules.classes = load_scannet_classes(path, params_.class_ids);
+      if (rules.classes->valid_count() == 0) {
         const auto choice = static_cast<std::size_t>(params_.class_ids);
         return diagnostics.error("classes.tsv.damaged", path,
                                  "has no ids of '" + std::string(ChoiceNames<ScannetIds>::names[choice]) + "' classes",
                                  "choose other class_ids, or restore the table as ScanNet distributes it");
       }
-      index_of_raw_.assign(kRawIds, kUnknown);
-      index_of_raw_[0] = kVoid;
+      std::vector<std::int16_t>& class_of_raw = rules.read.class_of_raw;
+      class_of_raw.assign(kRawIds, kUnknown);
+      class_of_raw[0] = kVoid;
       for (const ScannetLabel& label : read_scannet_tsv(path)) {
-        index_of_raw_[static_cast<std::size_t>(label.id)] =
-            static_cast<std::int16_t>(info_.classes.index_of(label.id_in(params_.class_ids)));
+        class_of_raw[static_cast<std::size_t>(label.id)] =
+            static_cast<std::int16_t>(rules.classes->index_of(label.id_in(params_.class_ids)));
       }
     } catch (const Error& e) {
       diagnostics.error(e.code(), "", e.message(), e.remedy());
     }
   }
 
-  ScannetParams params_;
-  std::string root_, table_file_;
-  Camera color_, depth_;
-  std::array<bool, 3> has_{};  ///< depth, labels, instances: the folder is there
-  SceneInfo info_;
-  std::vector<FrameFiles> files_;
-  std::vector<std::int16_t> index_of_raw_;  ///< [65536] class index, kVoid, or kUnknown
+  const ScannetParams& params_;
+  PosedPhotographs& files_;
+  std::string root_;
 };
 
+}  // namespace
+
+SceneInfo find_photographs(const ScannetParams& params, PosedPhotographs& files, Diagnostics& diagnostics) {
+  return Scannet(params, files).open(diagnostics);
+}
+
 SEMFIELD_PLUGIN_MODULE(scannet, "1.0", [](Registry& registry) {
-  registry.add_dataset<Scannet, ScannetParams>(
+  registry.add_dataset<PhotographDataset<ScannetParams>, ScannetParams>(
       "scannet", "Exported ScanNet scenes: poses, colour, depth, raw labels by their table, instances.");
 })
 

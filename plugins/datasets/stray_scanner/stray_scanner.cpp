@@ -124,7 +124,7 @@ SceneInfo find_photographs(const StrayScannerParams&, PosedPhotographs& files, D
     const TextRow& row = *found->second;
     const auto at = [&](const char* name) { return odometry.value(row, name); };
     PosedPhotograph photo;
-    photo.image = image;
+    photo.color = image;
     photo.camera = matrix;
     for (const auto& [name, member] :
          {std::pair{"fx", &Camera::fx}, {"fy", &Camera::fy}, {"cx", &Camera::cx}, {"cy", &Camera::cy}})
@@ -140,7 +140,7 @@ SceneInfo find_photographs(const StrayScannerParams&, PosedPhotographs& files, D
     photo.confidence = (root / "confidence" / name).string();
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(photos, false, diagnostics);
+  SceneInfo info = files.open(std::move(photos), {}, diagnostics);
   info.tracked = true;
   return info;
 }

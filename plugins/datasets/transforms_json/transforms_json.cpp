@@ -17,11 +17,9 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "formats/image_io.h"
-#include "formats/npz.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "loading/posed_photographs.h"
-#include "plugin/dataset.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
 #include "system/files.h"
@@ -38,18 +36,11 @@ struct TransformsLens {
   Camera told;  ///< focal lengths (fl_x, fl_y), kind and distortion
 };
 
-struct TransformsFiles {
-  FrameFiles files;                             ///< resolved; colour with its extension found
-  std::map<std::string, std::string> channels;  ///< name to file, of those that it has
-  double depth_unit_m = 0;                      ///< of one step of its depth image; 0 = not told
-};
-
-struct TransformsFrame : TransformsFiles {
-  std::string place;      ///< "transforms.json: frame 3 (images/0003.jpg)"
-  std::string file_path;  ///< as written
+/// A photograph by the index; its split is told by the file (Blender's file names, nerfstudio's *_filenames), its
+/// matrix empty when the file's was unusable (already reported), its name the path as written.
+struct TransformsFrame : PosedPhotograph {
+  std::string entry;  ///< "transforms.json: frame 3 (images/0003.jpg)"
   TransformsLens lens;
-  std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
-  std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
 };
 
 struct TransformsIndex {
@@ -64,17 +55,12 @@ struct TransformsIndex {
   std::vector<ClassEntry> class_list;  ///< classes written in the file itself
 };
 
-struct TransformsJsonParams {
-  std::string root;
-  std::int32_t test_every = 8;
+/// Its keys are those of PhotographParams but `every`, `least_confidence` and `label_dir`.
+struct TransformsJsonParams : PhotographParams {
   std::string label_key = "label_path";
-  std::string classes;
-  UnknownLabels unknown_labels = UnknownLabels::error;
-  MissingFiles missing = MissingFiles::error;
   double depth_unit_m = 0;
   std::int32_t alpha_background = 255;
   bool alpha_masks = false;
-  std::string masks;
   bool metric = false;
   std::vector<std::string> channels;
 };
@@ -361,11 +347,11 @@ class FileReader {
     SplitLists lists = read_split_lists(root);
     for (std::size_t i = 0; i < root["frames"].size(); ++i) {
       TransformsFrame frame = read_frame(root["frames"][i], i, *lens, sound);
-      if (frame.files.color.empty()) {
+      if (frame.color.empty()) {
         frame.split = split_;
       } else {
         frame.split = split_in(lists, frame);
-        frame.depth_unit_m = values_.depth_unit(root["frames"][i], depth_unit_m, frame.place);
+        frame.depth_unit_m = values_.depth_unit(root["frames"][i], depth_unit_m, frame.entry);
       }
       out_.frames.push_back(std::move(frame));
     }
@@ -384,8 +370,7 @@ class FileReader {
     std::unordered_map<std::string, std::pair<std::string, bool>> names;
     bool holds(const TransformsFrame& frame, const std::string& as_written) {
       bool found = false;
-      for (const std::string& path :
-           {as_written, decomposed(fs::absolute(frame.files.color).lexically_normal().string())}) {
+      for (const std::string& path : {as_written, decomposed(fs::absolute(frame.color).lexically_normal().string())}) {
         const auto name = names.find(path);
         if (name == names.end()) continue;
         found = name->second.second = true;
@@ -425,12 +410,12 @@ class FileReader {
   // Where no list of training frames is given, all that no other list names train.
   std::optional<Split> split_in(SplitLists& lists, const TransformsFrame& frame) {
     if (!lists.any()) return split_;
-    const std::string path = path_of_name(frame.file_path);
+    const std::string path = path_of_name(frame.name);
     const bool in_train = lists.train.holds(frame, path), in_test = lists.test.holds(frame, path),
                in_val = lists.val.holds(frame, path);
     const bool tests = lists.test.names.empty() ? in_val : in_test;
     if (in_train && tests) {
-      diagnostics_.error("scene.split.overlap", frame.place, "is both in train_filenames and among the frames held out",
+      diagnostics_.error("scene.split.overlap", frame.entry, "is both in train_filenames and among the frames held out",
                          "keep it in one of the two lists");
     }
     if (tests) return Split::test;
@@ -537,38 +522,38 @@ class FileReader {
 
   TransformsFrame read_frame(const json& item, std::size_t index, const TransformsLens& lens, bool sound) {
     TransformsFrame frame;
-    frame.place = path_ + ": frame " + std::to_string(index);
+    frame.entry = path_ + ": frame " + std::to_string(index);
     if (!item.is_object()) {
-      diagnostics_.error("scene.index.format", frame.place, "is not a map",
+      diagnostics_.error("scene.index.format", frame.entry, "is not a map",
                          "write {\"file_path\": ..., \"transform_matrix\": ...}");
       return frame;
     }
     const auto path_of = [&](const char* key) {
       return item.contains(key) && item[key].is_string() ? item[key].get<std::string>() : std::string();
     };
-    frame.file_path = path_of("file_path");
-    const bool keys_are_read = check_keys(item, true, frame.place + " (" + frame.file_path + ")");
-    if (frame.file_path.empty() && !keys_are_read) return frame;
-    if (frame.file_path.empty()) {
-      diagnostics_.error("scene.index.format", frame.place, "has no 'file_path'", "name the image of the frame");
+    frame.name = path_of("file_path");
+    const bool keys_are_read = check_keys(item, true, frame.entry + " (" + frame.name + ")");
+    if (frame.name.empty() && !keys_are_read) return frame;
+    if (frame.name.empty()) {
+      diagnostics_.error("scene.index.format", frame.entry, "has no 'file_path'", "name the image of the frame");
       return frame;
     }
-    frame.place += " (" + frame.file_path + ")";
+    frame.entry += " (" + frame.name + ")";
     if (!sound || !keys_are_read) {
-      values_.model(item, lens.told.lens, frame.place);  // which is said all the same
+      values_.model(item, lens.told.lens, frame.entry);  // which is said all the same
       return frame;
     }
-    const std::optional<TransformsLens> own = values_.lens(item, lens, frame.place);
+    const std::optional<TransformsLens> own = values_.lens(item, lens, frame.entry);
     if (!own) return frame;
     frame.lens = *own;
-    frame.files.color = file_of(folder_ / frame.file_path);
+    frame.color = file_of(folder_ / frame.name);
     const char* const depth_key = path_of("depth_path").empty() ? "depth_file_path" : "depth_path";  // nerfstudio's
     for (const auto& [key, file] : {std::pair{depth_key, &FrameFiles::depth},
                                     {params_.label_key.c_str(), &FrameFiles::label},
                                     {"instance_path", &FrameFiles::instance},
                                     {"mask_path", &FrameFiles::mask}})
       if (const std::string path = *key == '\0' ? "" : path_of(key); !path.empty())
-        frame.files.*file = file_of(folder_ / path);
+        frame.*file = file_of(folder_ / path);
     for (const std::string& name : params_.channels)
       if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
         frame.channels[name] = names_.of((folder_ / file).string());
@@ -642,7 +627,7 @@ class FileReader {
     const json* rows = item.contains("transform_matrix") ? &item["transform_matrix"] : nullptr;
     if (rows != nullptr && read_rows(*rows, frame.matrix)) return;
     diagnostics_.error(
-        "scene.pose.format", frame.place,
+        "scene.pose.format", frame.entry,
         (rows == nullptr ? "has no 'transform_matrix'" : "'transform_matrix' is not 4 rows of 4 numbers") +
             quaternion_in(item),
         "write the camera-to-world matrix row by row");
@@ -692,7 +677,6 @@ TransformsIndex read_transforms(const std::string& root, const TransformsJsonPar
   return out;
 }
 
-constexpr std::int64_t kMostChannelCells = 1 << 20;  // of one axis
 }  // namespace
 
 void describe(ParamVisitor& visit, TransformsJsonParams& p) {
@@ -718,24 +702,6 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
       visit, p, channels,
       "further channels by name, which losses may read: the key NAME_path of a frame names a .npy of [h, w, k] "
       "numbers, whose grid covers the image");
-}
-
-// Its grid; nothing but the header is read.
-FrameChannelInfo channel_info(const std::string& name, const std::string& file) {
-  const std::vector<std::int64_t> shape = npy_shape(file);
-  const bool fits = shape.size() == 3 && std::all_of(shape.begin(), shape.end(),
-                                                     [](std::int64_t n) { return n > 0 && n <= kMostChannelCells; });
-  if (!fits)
-    throw Error(
-        ErrorKind::data, "scene.channel.shape",
-        "'" + file + "': the shape of a channel is [height, width, numbers of a cell], got " + shape_text(shape),
-        "write a .npy with three axes");
-  return {name, static_cast<std::int32_t>(shape[0]), static_cast<std::int32_t>(shape[1]),
-          static_cast<std::int32_t>(shape[2])};
-}
-
-void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
-  check_root_and_test_every(p.root, p.test_every, diagnostics);
 }
 
 std::string recognise(const std::string& path, TransformsJsonParams& p) {
@@ -791,10 +757,9 @@ bool is_real(const std::string& depth) {
   }
 }
 
-// The camera of one frame; the image's header tells the size where the file does not. False when reported.
-bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit& sizes, Camera& out,
+// The camera of a lens; the image's header tells the size where the file does not. False when reported.
+bool frame_camera(const TransformsLens& l, const std::string& image, const std::string& place, Camera& out,
                   Diagnostics& diagnostics) {
-  const TransformsLens& l = in.lens;
   const bool told = l.w != 0 || l.h != 0;
   if (told && (!whole_size(l.w) || !whole_size(l.h))) {
     diagnostics.error("scene.image.size", place, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
@@ -807,7 +772,7 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
       check_input_limit(static_cast<std::int64_t>(std::max(l.w, l.h)), input_limits().image_axis_px,
                         "image size 'w' x 'h': ", "pixels along an axis", "image_axis_px");
     else
-      size = image_size(in.files.color);
+      size = image_size(image);
   } catch (const Error& e) {
     diagnostics.error(e.code(), place, (told ? "" : "colour image ") + e.message(), e.remedy());
     return false;
@@ -820,222 +785,134 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
     return false;
   }
   out = camera_of(l, size.width_px, size.height_px);
-  return sizes.fit(in.files.color, place, out, diagnostics) && check_principal_point(out, place, diagnostics) &&
-         check_camera(out, place, diagnostics);
+  return true;
+}
+
+// What the pixels of the depth camera show, where the index tells of one.
+void read_depth_camera(const TransformsIndex& index, const std::string& root, FrameReadRules& rules,
+                       Diagnostics& diagnostics) {
+  if (!index.depth_lens) return;
+  const std::string place = root + ": 'depth_camera'";
+  const TransformsLens& lens = *index.depth_lens;
+  if (!whole_size(lens.w) || !whole_size(lens.h) || lens.told.fx == 0) {
+    diagnostics.error("scene.camera.missing", place, "has no size or no focal length",
+                      "write 'w', 'h', 'fl_x', 'fl_y', 'cx' and 'cy' of the depth images, in pixels");
+    return;
+  }
+  DepthCamera out{camera_of(lens, static_cast<std::int32_t>(lens.w), static_cast<std::int32_t>(lens.h)),
+                  pose_from_rows(index.depth_from_color)};
+  if (!check_camera(out.camera, place, diagnostics)) return;
+  const PoseState state = check_pose(out.depth_from_color, place, diagnostics);
+  if (state == PoseState::not_finite)
+    diagnostics.error("scene.pose.format", place, "'depth_from_color' holds a value that is not finite",
+                      "write 4 rows of 4 numbers");
+  if (state != PoseState::good) return;
+  rules.depth = DepthGrid::apart;
+  rules.depth_camera = out;
+}
+
+// Frames that are in a split and have a pose, each image once.
+std::vector<TransformsFrame*> used_frames(TransformsIndex& index, const std::string& root, Diagnostics& diagnostics) {
+  std::vector<TransformsFrame*> used;
+  std::map<std::string, const TransformsFrame*> seen;
+  std::size_t unused = 0;
+  for (TransformsFrame& in : index.frames) {
+    unused += in.split == Split::unused ? 1 : 0;
+    if (in.matrix.empty() || in.split == Split::unused) continue;
+    const auto [other, fresh] = seen.emplace(fs::path(in.color).lexically_normal().string(), &in);
+    if (!fresh) {
+      const bool both = other->second->split != in.split;
+      diagnostics.error("scene.frame.twice", in.entry,
+                        both ? "image is listed for training and for tests" : "image is listed twice",
+                        "keep one of the two frames");
+      continue;
+    }
+    used.push_back(&in);
+  }
+  if (unused > 0) {
+    diagnostics.note("scene.frames.unused", root,
+                     std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
+                         " frames are in neither split, as the index says");
+  }
+  return used;
+}
+
+// Splits stay as the index tells them; where it names no test frame, every n-th of the sorted names is held out, so
+// that the order of the export does not matter.
+void choose_splits(const std::vector<TransformsFrame*>& frames, std::int32_t test_every, const std::string& root,
+                   Diagnostics& diagnostics) {
+  if (std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split == Split::test; })) {
+    if (test_every != TransformsJsonParams{}.test_every)
+      diagnostics.note("scene.split.given", root, "the index names the test frames; scene.test_every is not used");
+    return;
+  }
+  const bool told = std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split; });
+  std::vector<std::string> order;
+  for (const TransformsFrame* in : frames) order.push_back(in->name);
+  std::sort(order.begin(), order.end());
+  std::size_t held_out = 0;
+  for (TransformsFrame* in : frames) {
+    const auto rank = std::lower_bound(order.begin(), order.end(), in->name) - order.begin();
+    in->split = HoldOut{test_every}.split_of(static_cast<std::size_t>(rank), order.size());
+    held_out += in->split == Split::test ? 1 : 0;
+  }
+  if (told && held_out > 0) {
+    diagnostics.note("scene.split.made", root,
+                     "the index names no test frame: " + std::to_string(held_out) + " of " +
+                         std::to_string(frames.size()) + " are held out, one in " + std::to_string(test_every) +
+                         " (scene.test_every; 0 = none)");
+  }
 }
 
 }  // namespace
 
-class TransformsJson final : public Dataset {
- public:
-  TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
-      : params_(params),
-        root_((fs::path(build.config_dir) / params.root).string()),
-        class_file_(build.path_of(params.classes)) {}
-
-  SceneInfo open(Diagnostics& diagnostics) override {
-    info_ = {};
-    info_.opengl_files = true;
-    sources_.clear();
-    const TransformsIndex index = read_transforms(root_, params_, diagnostics);
-    const fs::path canonical = fs::weakly_canonical(root_);
-    info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
-    std::vector<std::string> skipped;
-    FrameNames names;
-    bool has_labels = false, has_depth = false, unit_told = true;
-    int real_depth = 0;
-    FrameFileCheck check(params_.missing, "label_key");
-    CameraFit sizes;
-    FrameMasks masks(folder(), params_.masks);
-    const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
-    const std::vector<Split> splits = splits_of(used, diagnostics);
-    check.expect(used.size());
-    read_depth_camera(index, diagnostics);
-    for (std::size_t i = 0; i < used.size(); ++i) {
-      const TransformsFrame& in = *used[i];
-      FrameInfo frame;
-      frame.name = names.of(in.file_path);
-      frame.source = in.files.color;
-      frame.split = splits[i];
-      const std::string place = frame_place(frame);
-      if (!check_last_row(in.matrix, place, diagnostics)) continue;
-      frame.world_from_camera = opencv_from_opengl(pose_from_rows(in.matrix));
-      const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
-      if (state == PoseState::not_finite) skipped.push_back(frame.name);
-      FrameFiles files = in.files;
-      masks.add_to(files);
-      if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
-          !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
-        continue;
-      }
-      files.tell_channels(frame);
-      has_labels = has_labels || frame.has_labels;
-      has_depth = has_depth || frame.has_depth;
-      const std::int32_t colors = check.check_headers(frame, files, diagnostics, depth_camera()).channels;
-      if ((colors == 2 || colors == 4) && params_.alpha_background >= 0 &&
-          !in.channels.contains(std::string(kAlphaChannel)))
-        frame.channels.push_back(alpha_info(frame.camera));
-      for (const auto& [name, file] : in.channels) {
-        try {
-          frame.channels.push_back(channel_info(name, file));
-        } catch (const Error& error) {
-          diagnostics.error(error.code(), place, error.message(), error.remedy());
-        }
-      }
-      info_.frames.push_back(frame);
-      unit_told = unit_told && (!frame.has_depth || in.depth_unit_m > 0);
-      real_depth += frame.has_depth && in.depth_unit_m > 0 && in.depth_unit_m != 1 && is_real(files.depth) ? 1 : 0;
-      const double unit_m = params_.depth_unit_m > 0 ? params_.depth_unit_m : in.depth_unit_m;
-      sources_.push_back({files, in.channels, unit_m > 0 ? unit_m : 0.001});
-    }
-    check.report(root_, info_.frames.size(), diagnostics);
-    sizes.report(root_, diagnostics);
-    masks.report(diagnostics);
-    report_skipped(skipped, info_.frames.size(), root_, diagnostics);
-    if (params_.depth_unit_m == 0 && !unit_told && !index.unclear_depth_key.empty())
-      diagnostics.error("scene.depth.unit", root_,
-                        "'" + index.unclear_depth_key +
-                            "' may be the steps of a depth image per metre or the metres of a step, and is not read",
-                        "write \"depth_unit_m\" with the metres of a step, or set scene.depth_unit_m");
-    if (real_depth > 0)
-      diagnostics.note(
-          "scene.depth.real", root_,
-          std::to_string(real_depth) +
-              " depth files hold real numbers, which are taken as they are: the unit that the index states "
-              "is of integers");
-    info_.metric = params_.metric || index.metric || has_depth;
-    info_.limit = index.limit;
-    load_classes(index, has_labels, diagnostics);
-    return info_;
-  }
-
-  void read(int frame, FrameBuffer& out) const override {
-    const auto i = static_cast<std::size_t>(frame);
-    const std::vector<std::string> wanted = out.wanted;
-    const TransformsFiles& source = sources_.at(i);
-    const auto wants = [&](std::string_view name) {
-      return std::find(wanted.begin(), wanted.end(), name) != wanted.end();
+SceneInfo find_photographs(const TransformsJsonParams& params, PosedPhotographs& files, Diagnostics& diagnostics) {
+  const std::string& root = files.root();
+  TransformsIndex index = read_transforms(root, params, diagnostics);
+  const std::vector<TransformsFrame*> used = used_frames(index, root, diagnostics);
+  choose_splits(used, params.test_every, root, diagnostics);
+  PhotographRules rules{.read = {.labels_key = "label_key",
+                                 .alpha_background = params.alpha_background,
+                                 .alpha_masks = params.alpha_masks},
+                        .opengl_files = true,
+                        .depth_unit_m = params.depth_unit_m,
+                        .labels_by_name = false,
+                        .class_file = index.classes,
+                        .class_list = index.class_list};
+  read_depth_camera(index, root, rules.read, diagnostics);
+  std::vector<PosedPhotograph> photos;
+  for (const TransformsFrame* in : used) {
+    photos.push_back(*in);
+    photos.back().find_camera = [in, &diagnostics](const std::string& place, Camera& camera) {
+      return frame_camera(in->lens, in->color, place, camera, diagnostics);
     };
-    const FrameReadRules rules{.depth_unit_m = source.depth_unit_m,
-                               .alpha_background = params_.alpha_background,
-                               .alpha = wants(kAlphaChannel) && !source.channels.contains(std::string(kAlphaChannel)),
-                               .unknown_labels = params_.unknown_labels,
-                               .depth_camera = depth_camera(),
-                               .alpha_masks = params_.alpha_masks};
-    read_frame_files(info_.frames[i], source.files, rules, info_.classes, out);
-    for (const FrameChannelInfo& told : info_.frames[i].channels) {
-      if (!wants(told.name) || (told.name == kAlphaChannel && rules.alpha)) continue;
-      NumpyArray array = read_npy(source.channels.at(told.name), [](std::span<const std::int64_t>) {});
-      out.channels.push_back({told.name, told.height, told.width, told.cols, std::move(array.values)});
-    }
   }
-
- private:
-  // Frames that are in a split and have a pose, each image once.
-  std::vector<const TransformsFrame*> used_frames(const TransformsIndex& index, Diagnostics& diagnostics) const {
-    std::vector<const TransformsFrame*> used;
-    std::map<std::string, const TransformsFrame*> seen;
-    std::size_t unused = 0;
-    for (const TransformsFrame& in : index.frames) {
-      unused += in.split == Split::unused ? 1 : 0;
-      if (in.matrix.empty() || in.split == Split::unused) continue;
-      const auto [other, fresh] = seen.emplace(fs::path(in.files.color).lexically_normal().string(), &in);
-      if (!fresh) {
-        const bool both = other->second->split != in.split;
-        diagnostics.error("scene.frame.twice", in.place,
-                          both ? "image is listed for training and for tests" : "image is listed twice",
-                          "keep one of the two frames");
-        continue;
-      }
-      used.push_back(&in);
-    }
-    if (unused > 0) {
-      diagnostics.note("scene.frames.unused", root_,
-                       std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
-                           " frames are in neither split, as the index says");
-    }
-    return used;
+  SceneInfo info = files.open(std::move(photos), std::move(rules), diagnostics);
+  bool has_depth = false, unit_told = true;
+  int real_depth = 0;
+  for (const PosedPhotograph& photo : files.photographs()) {
+    if (photo.depth.empty()) continue;
+    has_depth = true;
+    unit_told = unit_told && photo.depth_unit_m > 0;
+    real_depth += photo.depth_unit_m > 0 && photo.depth_unit_m != 1 && is_real(photo.depth) ? 1 : 0;
   }
-
-  // As the index tells; where it names no test frame, every n-th of the sorted names is held out, so that the order of
-  // the export does not matter.
-  std::vector<Split> splits_of(const std::vector<const TransformsFrame*>& frames, Diagnostics& diagnostics) const {
-    const auto is_test = [](const TransformsFrame* in) { return in->split == Split::test; };
-    std::vector<Split> splits;
-    if (std::any_of(frames.begin(), frames.end(), is_test)) {
-      for (const TransformsFrame* in : frames) splits.push_back(*in->split);
-      if (params_.test_every != TransformsJsonParams{}.test_every)
-        diagnostics.note("scene.split.given", root_, "the index names the test frames; scene.test_every is not used");
-      return splits;
-    }
-    std::vector<std::string> order;
-    for (const TransformsFrame* in : frames) order.push_back(in->file_path);
-    std::sort(order.begin(), order.end());
-    std::size_t held_out = 0;
-    for (const TransformsFrame* in : frames) {
-      const auto rank = std::lower_bound(order.begin(), order.end(), in->file_path) - order.begin();
-      splits.push_back(HoldOut{params_.test_every}.split_of(static_cast<std::size_t>(rank), order.size()));
-      held_out += splits.back() == Split::test ? 1 : 0;
-    }
-    const bool told = std::any_of(frames.begin(), frames.end(), [](const TransformsFrame* in) { return in->split; });
-    if (told && held_out > 0) {
-      diagnostics.note("scene.split.made", root_,
-                       "the index names no test frame: " + std::to_string(held_out) + " of " +
-                           std::to_string(frames.size()) + " are held out, one in " +
-                           std::to_string(params_.test_every) + " (scene.test_every; 0 = none)");
-    }
-    return splits;
-  }
-
-  std::string folder() const { return fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_; }
-
-  void read_depth_camera(const TransformsIndex& index, Diagnostics& diagnostics) {
-    depth_camera_.reset();
-    if (!index.depth_lens) return;
-    const std::string place = root_ + ": 'depth_camera'";
-    const TransformsLens& lens = *index.depth_lens;
-    if (!whole_size(lens.w) || !whole_size(lens.h) || lens.told.fx == 0) {
-      diagnostics.error("scene.camera.missing", place, "has no size or no focal length",
-                        "write 'w', 'h', 'fl_x', 'fl_y', 'cx' and 'cy' of the depth images, in pixels");
-      return;
-    }
-    DepthCamera out{camera_of(lens, static_cast<std::int32_t>(lens.w), static_cast<std::int32_t>(lens.h)),
-                    pose_from_rows(index.depth_from_color)};
-    if (!check_camera(out.camera, place, diagnostics)) return;
-    const PoseState state = check_pose(out.depth_from_color, place, diagnostics);
-    if (state == PoseState::not_finite)
-      diagnostics.error("scene.pose.format", place, "'depth_from_color' holds a value that is not finite",
-                        "write 4 rows of 4 numbers");
-    if (state == PoseState::good) depth_camera_ = out;
-  }
-
-  const DepthCamera* depth_camera() const { return depth_camera_ ? &*depth_camera_ : nullptr; }
-  void load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
-    const std::string folder = this->folder();
-    const std::string path = !class_file_.empty()       ? class_file_
-                             : !index.classes.empty()   ? index.classes
-                             : index.class_list.empty() ? find_class_file({folder})
-                                                        : "";
-    if (!path.empty() || index.class_list.empty()) {
-      info_.classes = load_class_file(path, {folder}, has_labels, diagnostics);
-      return;
-    }
-    try {
-      info_.classes = ClassTable(index.class_list);
-    } catch (const Error& e) {
-      diagnostics.error(e.code(), root_ + ": 'classes'", e.message(), e.remedy());
-    }
-  }
-
-  TransformsJsonParams params_;
-  std::string root_, class_file_;
-  SceneInfo info_;
-  std::vector<TransformsFiles> sources_;     // of each frame
-  std::optional<DepthCamera> depth_camera_;  // where depth is of another camera
-};
+  if (params.depth_unit_m == 0 && !unit_told && !index.unclear_depth_key.empty())
+    diagnostics.error("scene.depth.unit", root,
+                      "'" + index.unclear_depth_key +
+                          "' may be the steps of a depth image per metre or the metres of a step, and is not read",
+                      "write \"depth_unit_m\" with the metres of a step, or set scene.depth_unit_m");
+  if (real_depth > 0)
+    diagnostics.note("scene.depth.real", root,
+                     std::to_string(real_depth) +
+                         " depth files hold real numbers, which are taken as they are: the unit that the index states "
+                         "is of integers");
+  info.metric = params.metric || index.metric || has_depth;
+  info.limit = index.limit;
+  return info;
+}
 
 SEMFIELD_PLUGIN_MODULE(transforms_json, "1.0", [](Registry& registry) {
-  registry.add_dataset<TransformsJson, TransformsJsonParams>(
+  registry.add_dataset<PhotographDataset<TransformsJsonParams>, TransformsJsonParams>(
       "transforms_json", "Posed images with a transforms.json of nerfstudio, instant-ngp or Blender.");
 })
 

@@ -163,8 +163,8 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
       continue;
     }
     PosedPhotograph photo;
-    photo.image = names.of((root / image.words[0]).string());
-    const auto [other, fresh] = lines.emplace(fs::path(photo.image).lexically_normal().string(), &image);
+    photo.color = names.of((root / image.words[0]).string());
+    const auto [other, fresh] = lines.emplace(fs::path(photo.color).lexically_normal().string(), &image);
     if (!fresh) {
       diagnostics.error("scene.frame.twice", image.place, "is the image of " + other->second->place,
                         "keep one of the two lines");
@@ -175,8 +175,8 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
     Camera& c = photo.camera;
     c.width_px = 640;  // what the benchmark's lenses are of
     c.height_px = 480;
-    if (!params.lens.empty() && is_there(photo.image)) {
-      const ImageSize size = image_size(photo.image);
+    if (!params.lens.empty() && is_there(photo.color)) {
+      const ImageSize size = image_size(photo.color);
       c.width_px = size.width_px;
       c.height_px = size.height_px;
     }
@@ -210,7 +210,7 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
     diagnostics.note("scene.pose.count", "'" + (root / "groundtruth.txt").string() + "'",
                      std::to_string(without_pose) + " of " + std::to_string(images.size()) +
                          " images have no pose within " + within_text + " ms and are left out");
-  return files.open(photos, false, diagnostics);
+  return files.open(std::move(photos), {}, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(tum, "1.0", [](Registry& registry) {
