@@ -714,9 +714,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   context.verb = bound.verb.name;
   if (context.json && !bound.verb.json)
     throw Error(ErrorKind::usage, "usage.json.none", bound.verb.name + " takes no --json", "leave it out");
-  Diagnostics of_checks;
-  for (const std::string& module : program.modules) load_module(context.registry, module, {true, &of_checks});
-  for (const Diagnostic& note : of_checks.all()) print_note(context, note.shown());
+  for (const std::string& module : program.modules) load_module(context.registry, module);
   return run_launched(bound, join(shown, " "), context);
 }
 

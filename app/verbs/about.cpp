@@ -203,7 +203,7 @@ std::vector<const PluginEntry*> load(const std::string& file, Registry& registry
   register_linked_plugins(registry);
   std::vector<std::pair<PluginKind, std::string>> linked;
   for (const PluginEntry* entry : registry.entries()) linked.emplace_back(entry->kind, entry->name);
-  load_module(registry, file, {false, nullptr});
+  load_module(registry, file);
   std::vector<const PluginEntry*> found;
   for (const PluginEntry* entry : registry.entries()) {
     if (std::find(linked.begin(), linked.end(), std::pair(entry->kind, entry->name)) == linked.end())
@@ -251,15 +251,6 @@ int run(const CheckOptions& options, AppContext& context) {
     return std::count_if(rows.begin(), rows.end(), [&](const LawRow& row) { return row.status == status; });
   };
   const auto passed = count(LawStatus::passed), failed = count(LawStatus::failed), refused = count(LawStatus::refused);
-  const auto first =
-      std::find_if(rows.begin(), rows.end(), [](const LawRow& r) { return r.status == LawStatus::failed; });
-  Diagnostics notes;
-  keep_check(options.file,
-             first == rows.end() ? ""
-                                 : fmt::format("{} '{}', {}: {}", kind_name(first->kind), first->name,
-                                               subject_of(*first), first->found.front()),
-             notes);
-  for (const Diagnostic& note : notes.all()) print_note(context, note.shown());
   if (context.json) {
     Json out{{"file", options.file}, {"passed", passed}, {"failed", failed}, {"refused", refused}};
     out["rows"] = Json::array();

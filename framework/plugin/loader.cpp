@@ -91,17 +91,6 @@ PythonLoader embedded_python(const std::string& doing) {
   return load;
 }
 
-// A module that was checked and broke a law stays out until it is mended or its owner says otherwise.
-void refuse_broken(const std::string& file, const std::string& doing, Diagnostics* notes) {
-  Diagnostics unread;
-  const std::optional<FileVerdict> found =
-      read_verdict(file, SEMFIELD_VERSION_TEXT, notes == nullptr ? unread : *notes);
-  if (!found || found->passed()) return;
-  fail("plugin.module.broken_law", doing + ": it was checked, and broke a law: " + found->fault,
-       "fix it and run `semfield plugins check " + shell_word(file) + "` again, or remove " + shell_word(found->entry) +
-           " to load it as it is");
-}
-
 }  // namespace
 
 const char* abi_tag_of_framework() { return SEMFIELD_ABI_TAG; }
@@ -146,11 +135,7 @@ void register_module(Registry& registry, const PluginModule& module) {
   registry = std::move(trial);
 }
 
-void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes) {
-  keep_verdict(path, SEMFIELD_VERSION_TEXT, broken_law, notes);
-}
-
-void load_module(Registry& registry, const std::string& path, const LoadOptions& options) {
+void load_module(Registry& registry, const std::string& path, PythonLoader python) {
   const std::string doing = "cannot load plugin '" + path + "'";
   if (!is_file(path)) {
     fail("plugin.module.missing", doing + ": there is no such file",
@@ -161,9 +146,8 @@ void load_module(Registry& registry, const std::string& path, const LoadOptions&
   for (const std::string& loaded : registry.module_files()) {
     if (loaded == file) return;
   }
-  if (options.checked) refuse_broken(file, doing, options.notes);
   if (file.ends_with(".py")) {
-    (options.python != nullptr ? options.python : embedded_python(doing))(registry, file);
+    (python != nullptr ? python : embedded_python(doing))(registry, file);
     return;
   }
   void* const library = open_library(file, path, doing, "build it as a shared module against the installed framework");

@@ -20,23 +20,13 @@ void register_module(Registry& registry, const PluginModule& module);
 /// Runs a file of Python, whose plugins go into the registry.
 using PythonLoader = void (*)(Registry& registry, const std::string& path);
 
-struct LoadOptions {
-  bool checked = true;            ///< a file that the last check of its bytes found at fault is refused
-  Diagnostics* notes = nullptr;   ///< gets what is amiss with what is kept about checks, which never stops a load
-  PythonLoader python = nullptr;  ///< of a process that is Python's; null: libsemfield_python.so, which embeds it
-};
-
 /// check_module_file, dlopen(RTLD_NOW | RTLD_LOCAL), register_module; never unloaded. A file that the registry has
-/// already is left at that. A file NAME.py is run by Python (LoadOptions::python). Its code
-/// runs, so `path` comes from who started the program. What was asked for by path must load: throws Error(unavailable)
+/// already is left at that. A file NAME.py is run by `python`, that of a process that is Python's, or where it is null
+/// by libsemfield_python.so, which embeds it. Its code runs, so `path` comes from who started the program. What was asked for by path must load: throws Error(unavailable)
 /// with a sentence that names both sides (missing file, no plugin, other API, other ABI, throwing registration,
-/// duplicate name, a broken law that keep_check told of). An exception out of a static initialiser cannot be caught
+/// duplicate name). An exception out of a static initialiser cannot be caught
 /// here: it ends the program through std::terminate, whose handler may ask module_being_loaded().
-void load_module(Registry& registry, const std::string& path, const LoadOptions& options = {});
-
-/// What the laws said of a module's plugins, for every load of the same bytes by this version of the framework, until
-/// they are checked again; "" = they hold. Kept in the user's cache (system/files.h).
-void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes);
+void load_module(Registry& registry, const std::string& path, PythonLoader python = nullptr);
 
 /// A module that a configuration names, which may come from anybody. What is loaded is the module of its file name that
 /// lies in a trusted folder itself, not in a folder below: those of the environment variable SEMFIELD_PLUGIN_PATH,

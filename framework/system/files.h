@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
-#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -169,22 +168,6 @@ std::vector<std::filesystem::directory_entry> sorted_folder(const std::string& f
 /// Removes the temporary files that this process is writing (AtomicFile). Async-signal-safe; nothing may be written
 /// afterwards.
 void remove_own_temporaries() noexcept;
-
-// What a check found out about files, kept in the user's cache: a verdict goes with the bytes of a file, wherever it
-// lies, and with the version of what checked it.
-
-struct FileVerdict {
-  std::string fault;  ///< what was found; "" = the file passed
-  std::string entry;  ///< the file of the cache that says so
-  bool passed() const { return fault.empty(); }
-};
-
-/// The last verdict about the file's bytes. Nothing for bytes that were never checked and where there is no cache; for
-/// an entry that is damaged or cannot be read nothing, with a note. `version` is a word of letters, digits and dots.
-std::optional<FileVerdict> read_verdict(const std::string& file, const std::string& version, Diagnostics& notes);
-
-/// Keeps it in place of an earlier one; a cache that cannot be written is a note. `fault` as in FileVerdict.
-void keep_verdict(const std::string& file, const std::string& version, const std::string& fault, Diagnostics& notes);
 
 // Where a program keeps what it can make again, and how much of it.
 

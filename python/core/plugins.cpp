@@ -624,11 +624,7 @@ void load_python_file(Registry& registry, const std::string& path) {
   registry = std::move(trial);
 }
 
-void load_file(Registry& registry, const std::string& path) {
-  LoadOptions options;
-  options.python = load_python_file;
-  load_module(registry, path, options);
-}
+void load_file(Registry& registry, const std::string& path) { load_module(registry, path, load_python_file); }
 
 void rebuild() {
   Base& b = base();

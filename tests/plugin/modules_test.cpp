@@ -1,4 +1,4 @@
-// Kernels of modules, their laws, and what is kept of a check; the program's part is modules_test.py.
+// Kernels of modules and their laws; the program's part is modules_test.py.
 
 #include <atomic>
 
@@ -88,25 +88,6 @@ TEST(LawSuite, AsksPluginsThatAreSlowForFewerRows) {
   const std::int64_t all = rows_of(false), few = rows_of(true);
   EXPECT_GT(few, 1000);
   EXPECT_LT(10 * few, 3 * all) << few << " of " << all;
-}
-
-TEST(FileVerdicts, GoWithBytesAndVersion) {
-  const std::string folder = fresh_folder("verdicts"), file = folder + "/a.so";
-  ::setenv("SEMFIELD_CACHE", (folder + "/cache").c_str(), 1);
-  write_file_atomic(file, "bytes");
-  Diagnostics notes;
-  EXPECT_FALSE(read_verdict(file, "1.0", notes));
-  keep_verdict(file, "1.0", "line\nand another", notes);
-  EXPECT_EQ(read_verdict(file, "1.0", notes)->fault, "line\nand another");
-  EXPECT_FALSE(read_verdict(file, "1.1", notes));
-  fs::copy_file(file, folder + "/b.so");
-  EXPECT_FALSE(read_verdict(folder + "/b.so", "1.0", notes)->passed());
-  keep_verdict(folder + "/b.so", "1.0", "", notes);
-  EXPECT_TRUE(read_verdict(file, "1.0", notes)->passed());
-  write_file_atomic(file, "bytez");
-  EXPECT_FALSE(read_verdict(file, "1.0", notes));
-  EXPECT_TRUE(notes.all().empty());
-  ::setenv("SEMFIELD_CACHE", "off", 1);
 }
 
 TEST(LibrariesOfTheProgram, AMissingOneNamesTheTargetThatBuildsIt) {

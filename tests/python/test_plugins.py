@@ -461,8 +461,7 @@ def test_a_step_that_raised_is_made_again_with_the_same_bits(scene: sf.Scene) ->
     assert same(run, calm)
 
 
-def test_a_file_that_broke_a_law_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SEMFIELD_CACHE", str(tmp_path / "cache"))
+def test_a_file_of_python_is_asked_the_laws(tmp_path: Path) -> None:
     file = tmp_path / "bent.py"
     text = """
 import semfield as sf
@@ -480,10 +479,7 @@ class Bent(sf.Encoder):
     file.write_text(text.replace("FACTOR", "2"))
     with pytest.raises(sf.CommandError):
         sf.command("plugins", "check", file)
-    with pytest.raises(sf.UnavailableError, match="broke a law"):
-        sf.load_plugin(file)
-    assert "bent" not in [name for _, name, _, _ in sf.plugins()]
-    file.write_text(text.replace("FACTOR", "1"))  # mended: other bytes, so nobody has found fault with them
+    file.write_text(text.replace("FACTOR", "1"))
     sf.command("plugins", "check", file)
     sf.load_plugin(file)
     assert "bent" in [name for _, name, _, _ in sf.plugins()]
