@@ -35,7 +35,6 @@
 #include "core/error.h"
 #include "core/non_copyable.h"
 #include "core/text.h"
-#include "eval/channel_query.h"
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
@@ -57,7 +56,6 @@ struct RenderOptions : Options {
     excludes("--npy", "--video");
     excludes("--probability", "--video");
     excludes("--channel", "--video");
-    excludes("--query", "--video");
   }
   const std::string& run = operand("run", "run folder");
   const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames whose views are rendered");
@@ -81,9 +79,6 @@ struct RenderOptions : Options {
       flag("--probability", "also write the probability of every class as float32 .npy [height, width, classes]");
   const std::string& channel =
       value("--channel NAME", "also write this channel of a head as float32 .npy [height, width, columns]");
-  const std::string& query = value("--query FILE",
-                                   "also write how well a head's channel agrees with each vector of this file, as "
-                                   "cosines and pictures: .json, a map from words to vectors, or .npy");
   const std::vector<std::string>& set = run_settings();
 };
 
@@ -172,84 +167,20 @@ CameraSet cameras_of(const std::vector<NamedView>& views) {
   return set;
 }
 
-// Between the 2nd and the 98th percentile of the picture: cosines of words and pictures differ by little.
-std::vector<std::uint8_t> contrast_colors(const std::vector<float>& values) {
-  std::vector<float> sorted = values;
-  std::sort(sorted.begin(), sorted.end());
-  const std::size_t last = sorted.size() - 1;
-  const double low = static_cast<double>(sorted[last / 50]), high = static_cast<double>(sorted[last - last / 50]);
-  std::vector<std::uint8_t> rgb;
-  rgb.reserve(3 * values.size());
-  for (const float value : values) {
-    const double t = high > low ? (static_cast<double>(value) - low) / (high - low) : 0;
-    const auto color = perceptual_color(t);
-    rgb.insert(rgb.end(), color.begin(), color.end());
-  }
-  return rgb;
-}
-
-const HeadConfig& head_of(const RenderOptions& wishes, const Session& session) {
-  const std::vector<HeadConfig>& heads = session.config.heads;
+// Throws Error(usage) for a run without a head of that channel.
+void check_channel(const std::string& channel, const Session& session) {
   std::vector<std::string> known;
-  for (const HeadConfig& head : heads) {
+  for (const HeadConfig& head : session.config.heads) {
     known.push_back(head.channel);
-    if (head.channel == wishes.channel || (wishes.channel.empty() && heads.size() == 1)) return head;
+    if (head.channel == channel) return;
   }
   if (known.empty())
     throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head except that of class logits",
                 "train with the lists `heads` and `losses`; docs/guide/features.md shows how");
-  if (wishes.channel.empty())
-    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has several channels: " + join(known),
-                "name one with --channel");
   throw Error(ErrorKind::usage, "render.channel.unknown",
-              "--channel: the run has no channel '" + wishes.channel + "'; it has " + join(known),
-              near_name_remedy(wishes.channel, known));
+              "--channel: the run has no channel '" + channel + "'; it has " + join(known),
+              near_name_remedy(channel, known));
 }
-
-class ChannelOutput {
- public:
-  /// Throws Error(usage) for a run without such a head, and what read_queries throws.
-  ChannelOutput(const RenderOptions& wishes, const Session& session) {
-    if (wishes.channel.empty() && wishes.query.empty()) return;
-    const HeadConfig& head = head_of(wishes, session);
-    channels_.push_back(head.channel);
-    axes_ = session.pipeline->passes().back().axes(head.channel);
-    if (!wishes.query.empty())
-      queries_ = read_queries(wishes.query, head.source_width > 0 ? head.source_width : head.width);
-    maps_ = wishes.query.empty();
-  }
-
-  /// Channels that frames must have.
-  const std::vector<std::string>& channels() const { return channels_; }
-  /// Files of the whole folder: the axes of the channel, where it has some.
-  void write_axes(const std::string& folder) const {
-    if (!maps_ || axes_.empty()) return;
-    const std::vector<std::int64_t> shape{axes_.rows, axes_.cols};
-    write_npy(folder + "/" + channels_.front() + "_axes.npy", shape,
-              {axes_.data, static_cast<std::size_t>(axes_.size())});
-  }
-  /// Files of a frame, whose names begin with `base`.
-  void write(const std::string& base, const RenderedFrame& frame) const {
-    for (const FrameChannel& map : frame.channels) {
-      if (maps_) {
-        const std::vector<std::int64_t> shape{map.height, map.width, map.cols};
-        write_npy(base + "_" + map.name + ".npy", shape, map.values);
-      }
-      for (const QueryVector& query : queries_) {
-        const std::vector<float> cosines = cosine_map(map, query.values, axes_);
-        const std::string file = base + "_query_" + query.name;
-        write_map_npy(file + ".npy", {map.width, map.height}, cosines);
-        write_png_rgb(file + ".png", map.width, map.height, contrast_colors(cosines));
-      }
-    }
-  }
-
- private:
-  std::vector<std::string> channels_;
-  bool maps_ = false;  // the channel itself is written
-  View<const float> axes_;
-  std::vector<QueryVector> queries_;
-};
 
 std::vector<std::uint8_t> overlay(const RenderedFrame& frame, const ClassTable& classes) {
   std::vector<std::uint8_t> out = to_bytes(frame.rgb);
@@ -468,9 +399,8 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   const fs::path folder =
       options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
   if (options.probability) check_probability(options, s, views, context);
-  const ChannelOutput channels(options, s);
+  if (!options.channel.empty()) check_channel(options.channel, s);
   create_output_folder(folder);
-  channels.write_axes(folder.string());
   CameraSet cameras = cameras_of(views);
   cameras.depth_step = depth_step_of(s);
   write_cameras((folder / "cameras.json").string(), cameras);
@@ -481,14 +411,22 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
     write_file_atomic((folder / "classes.json").string(), class_order_json(s.scene.info.classes));
   FrameOptions wanted;
   wanted.probability = options.probability;
-  wanted.channels = channels.channels();
+  if (!options.channel.empty()) {
+    wanted.channels = {options.channel};
+    const View<const float> axes = s.pipeline->passes().back().axes(options.channel);
+    if (!axes.empty())
+      write_npy((folder / (options.channel + "_axes.npy")).string(), std::array{axes.rows, std::int64_t{axes.cols}},
+                {axes.data, static_cast<std::size_t>(axes.size())});
+  }
   std::int64_t beyond = 0;
   const double seconds = render_all(
       s, views, wanted,
       [&](const NamedView& view, const RenderedFrame& frame) {
         const std::string base = (folder / output_name(view.name)).string();
         beyond += write_frame(base, frame, s, options.npy);
-        channels.write(base, frame);
+        for (const FrameChannel& map : frame.channels)
+          write_npy(base + "_" + map.name + ".npy", std::array<std::int64_t, 3>{map.height, map.width, map.cols},
+                    map.values);
       },
       context);
   if (beyond > 0)

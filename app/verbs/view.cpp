@@ -27,7 +27,7 @@
 #include "app/signals.h"
 #include "core/error.h"
 #include "core/non_copyable.h"
-#include "eval/channel_query.h"
+#include "eval/field_points.h"
 #include "eval/image_output.h"
 #include "report/report.h"
 #include "run/run_folder.h"

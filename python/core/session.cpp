@@ -15,7 +15,7 @@
 #include "core/error.h"
 #include "core/non_copyable.h"
 #include "core/workspace.h"
-#include "eval/channel_query.h"
+#include "eval/field_points.h"
 #include "eval/final_eval.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"

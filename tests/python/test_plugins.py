@@ -608,25 +608,16 @@ def test_a_run_is_asked_by_words(tmp_path: Path) -> None:
     sf.command("train", config, "--out", run)
     resolved = (run / "run.yaml").read_text()
     assert "source_width: 96" in resolved
-    queries = tmp_path / "words.json"
-    queries.write_text(json.dumps({"back wall": WORDS[1].tolist(), "floor": WORDS[4].tolist()}))
-    sf.command("render", run, "--query", queries, "--out", tmp_path / "asked")
     sf.command("render", run, "--channel", "words", "--out", tmp_path / "maps")
     maps = sorted((tmp_path / "maps").glob("*_words.npy"))
     axes = np.load(tmp_path / "maps" / "words_axes.npy")
     assert len(maps) == 3 and axes.shape == (96, 6)
     for file in maps:
         made, stem = np.load(file), file.name[:-len("_words.npy")]
-        asked = np.load(tmp_path / "asked" / f"{stem}_query_back_wall.npy")
-        cosine = made @ (axes.T @ WORDS[1]) / np.linalg.norm(made, axis=-1) / np.linalg.norm(WORDS[1])
-        assert np.allclose(asked, cosine, atol=1e-5)
-        assert (tmp_path / "asked" / f"{stem}_query_floor.png").stat().st_size > 100
+        asked = made @ (axes.T @ WORDS[1]) / np.linalg.norm(made, axis=-1) / np.linalg.norm(WORDS[1])
         truth = box_arrays(count=12)["labels"][int(stem)]
         if (truth == 1).any() and (truth != 1).any():
             assert asked[truth == 1].mean() > asked[truth != 1].mean() + 0.1
-    queries.write_text(json.dumps({"short": [1.0, 2.0]}))
-    with pytest.raises(sf.Error, match="vector 'short' has 2 numbers, and the channel 96"):
-        sf.command("render", run, "--query", queries)
     with pytest.raises(sf.Error, match="did you mean 'words'"):
         sf.command("render", run, "--channel", "word")
 

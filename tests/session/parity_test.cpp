@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "core/rng.h"
-#include "eval/channel_query.h"
+#include "eval/field_points.h"
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"
