@@ -29,20 +29,27 @@ class Tracer {
   Tracer(const std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height)
       : width_(width), height_(height), region_(label.size(), -1), walked_(label.size()), left_node_(label.size(), -1) {
     SEMFIELD_CHECK(std::int64_t{width} * height == std::ssize(label), "label map of another size");
-    for (std::int32_t y = 0; y < height; ++y) {
-      for (std::int32_t x = 0; x < width; ++x) {
-        const std::int16_t index = label[at(x, y)];
-        if (index >= 0 && region_[at(x, y)] < 0) add_region(label, x, y, index);
-      }
+    const PixelRegions all = regions_of(label, width, height);
+    std::vector<std::int32_t> number(all.first.size(), -1), heads;
+    for (std::size_t r = 0; r < all.first.size(); ++r) {
+      if (label[all.first[r]] < 0) continue;
+      number[r] = static_cast<std::int32_t>(regions_.size());
+      regions_.push_back({label[all.first[r]], all.pixels[r], {}});
     }
-    for (std::size_t r = 0; r < firsts_.size(); ++r) heads_.push_back(walk(firsts_[r].x, firsts_[r].y, kTop).first);
+    for (std::size_t i = 0; i < label.size(); ++i) region_[i] = number[all.of_pixel[i]];
+    for (std::size_t r = 0; r < all.first.size(); ++r) {
+      const auto first = static_cast<std::int64_t>(all.first[r]);
+      if (number[r] >= 0)
+        heads.push_back(
+            walk(static_cast<std::int32_t>(first % width), static_cast<std::int32_t>(first / width), kTop).first);
+    }
     // Columns ascending: a hole is met at its leftmost side, when all that lies left of it is joined already.
     for (std::int32_t x = 0; x < width; ++x) {
       for (std::int32_t y = 0; y < height; ++y) {
         if (region_[at(x, y)] >= 0 && (walked_[at(x, y)] >> kRight & 1) == 0 && !same(x, y, x + 1, y)) join_hole(x, y);
       }
     }
-    for (std::size_t r = 0; r < regions_.size(); ++r) regions_[r].outline = corners(heads_[r]);
+    for (std::size_t r = 0; r < regions_.size(); ++r) regions_[r].outline = corners(heads[r]);
   }
 
   std::vector<MaskRegion> take() { return std::move(regions_); }
@@ -54,27 +61,6 @@ class Tracer {
   bool same(std::int32_t x, std::int32_t y, std::int32_t other_x, std::int32_t other_y) const {
     return other_x >= 0 && other_y >= 0 && other_x < width_ && other_y < height_ &&
            region_[at(x, y)] == region_[at(other_x, other_y)];
-  }
-
-  void add_region(const std::vector<std::int16_t>& label, std::int32_t x, std::int32_t y, std::int16_t index) {
-    const auto number = static_cast<std::int32_t>(regions_.size());
-    MaskRegion region{index, 0, {}};
-    std::vector<Step> open{{x, y}};
-    region_[at(x, y)] = number;
-    while (!open.empty()) {
-      const Step pixel = open.back();
-      open.pop_back();
-      ++region.area_px;
-      for (const Step& step : kOutward) {
-        const Step next{pixel.x + step.x, pixel.y + step.y};
-        if (next.x < 0 || next.y < 0 || next.x >= width_ || next.y >= height_) continue;
-        if (region_[at(next.x, next.y)] >= 0 || label[at(next.x, next.y)] != index) continue;
-        region_[at(next.x, next.y)] = number;
-        open.push_back(next);
-      }
-    }
-    regions_.push_back(std::move(region));
-    firsts_.push_back({x, y});
   }
 
   // Walks one closed outline from a side of a pixel; returns its first and last node.
@@ -148,8 +134,6 @@ class Tracer {
   std::vector<std::int32_t> left_node_;  // node at the upper end of the pixel's left side
   std::vector<Node> nodes_;
   std::vector<MaskRegion> regions_;
-  std::vector<Step> firsts_;         // of each region: its topmost pixel, the leftmost of them
-  std::vector<std::int32_t> heads_;  // of each region: a node of its outline
 };
 
 }  // namespace
