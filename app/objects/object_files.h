@@ -10,7 +10,6 @@
 
 #include "objects/find_objects.h"
 #include "objects/object_set.h"
-#include "objects/segments.h"
 #include "scene/scene.h"
 #include "system/files.h"
 
@@ -42,15 +41,6 @@ std::string object_name(const ObjectRow& row, const ClassTable& classes);
 /// A row of the table as a JSON object, as objects.json has it.
 std::string object_row_json(const ObjectRow& row, const ClassTable& classes);
 
-// Objects for the eye: a strip of panels for a view.
-
-/// Writes a PNG of panels side by side: the photograph, the segments that were given (left out where `given` is empty),
-/// the objects found and the true ones. A found object has the colour of the true one that it shares most pixels with;
-/// what is no object is grey. `id` [H * W] objects found, 0: none; `stuff` [classes]. `frame` has labels and instances.
-/// Throws as write_png_rgb.
-void write_object_strip(const std::string& path, const StoredFrame& frame, const FrameSegments& given,
-                        std::span<const std::int32_t> id, const std::vector<bool>& stuff);
-
 // Objects in rendered views as files.
 
 /// A rendered view: ids and, with semantics, the field's classes, [H * W] each.
@@ -70,8 +60,6 @@ class ObjectFiles {
   /// Borrows all three.
   ObjectFiles(std::string folder, const FoundObjects& found, const SceneInfo& info);
   void add(const ObjectView& view);
-  /// pictures/FRAME.png in `folder`, whose folder it makes.
-  std::string picture_path(const FrameInfo& frame) const;
   void finish() { write_file_atomic(path("panoptic.json"), panoptic_json()); }
 
  private:

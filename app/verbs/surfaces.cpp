@@ -588,10 +588,7 @@ Verb verb_mesh() {
 namespace {
 
 struct ObjectsOptions : Options {
-  explicit ObjectsOptions(const Declaration& at) : Options(at) {
-    needs("--pattern", "--segments");
-    needs("--pictures", "--score");
-  }
+  explicit ObjectsOptions(const Declaration& at) : Options(at) { needs("--pattern", "--segments"); }
   const std::string& run = operand("run", "run folder");
   const std::string& segments =
       value("--segments PATH",
@@ -604,8 +601,6 @@ struct ObjectsOptions : Options {
   const std::string& split =
       choice("--split SPLIT", "test", {"test", "train"}, "frames whose objects are written as images");
   const bool& score = flag("--score", "also figures of those frames against the scene's own labels and instances");
-  const bool& pictures =
-      flag("--pictures", "also those frames as strips for the eye: photograph, segments, objects found, true objects");
   const std::string& out = value("--out FOLDER", "folder to write (default: objects/ in the run folder)");
   const std::vector<std::string>& set = run_settings();
 };
@@ -659,17 +654,6 @@ std::vector<int> frames_of(const ObjectsOptions& options, const Session& s) {
   return s.scene.frames_of(split_of(options));
 }
 
-// What the segments of the frames shown would be, were they given like those of the training frames; empty where these
-// come from files.
-SegmentSet shown_segments(const ObjectsOptions& options, const Session& s) {
-  SegmentSet shown;
-  shown.frames.resize(s.scene.frames.size());
-  if (!options.segments.empty()) return shown;
-  shown = segments_of_scene(s.scene, split_of(options));
-  damage_segments(shown, s.config.segment_damage, s.config.objects.seed);
-  return shown;
-}
-
 bool has_truth(const Session& s, int frame) {
   const StoredFrame& stored = s.scene.frames[static_cast<std::size_t>(frame)];
   return !stored.instance.empty() && !stored.label.empty();
@@ -689,7 +673,6 @@ std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session&
                                          ObjectFiles& files, const AppContext& context) {
   const std::vector<int> frames = frames_of(options, s);
   ObjectScore score(found.rows, found.stuff, ObjectScore::kLeastPx);
-  const SegmentSet shown = options.pictures ? shown_segments(options, s) : SegmentSet();
   ProgressLine progress(context, "rendered");
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto n = static_cast<std::size_t>(frames[k]);
@@ -707,8 +690,6 @@ std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session&
     if (!options.score || !has_truth(s, frames[k])) continue;
     const std::vector<std::int16_t> true_label = s.scene.frames[n].label.expand();
     score.add({true_label, s.scene.frames[n].instance, label, ids});
-    if (options.pictures)
-      write_object_strip(files.picture_path(info), s.scene.frames[n], shown.frames[n], ids, found.stuff);
   }
   if (!options.score) return std::nullopt;
   return score.figures();

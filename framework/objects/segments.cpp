@@ -63,11 +63,11 @@ std::int64_t SegmentSet::count() const {
   return total;
 }
 
-SegmentSet segments_of_scene(const LoadedScene& scene, Split split) {
+SegmentSet segments_of_scene(const LoadedScene& scene) {
   SegmentSet set;
   set.from = "instances of the scene";
   set.frames.resize(scene.frames.size());
-  for (const int f : scene.frames_of(split)) {
+  for (const int f : scene.frames_of(Split::train)) {
     const StoredFrame& frame = scene.frames[static_cast<std::size_t>(f)];
     if (frame.instance.empty()) continue;
     FrameSegments& to = set.frames[static_cast<std::size_t>(f)];

@@ -34,9 +34,9 @@ struct SegmentSet {
   std::int64_t count() const;  ///< segments of all images, or clicks
 };
 
-/// The scene's own instances as segments of its training frames, or of those of another split; the class of one is that
-/// of most of its labelled pixels. Throws Error(data) where none of these frames has instances.
-SegmentSet segments_of_scene(const LoadedScene& scene, Split split = Split::train);
+/// The scene's own instances as segments of its training frames; the class of one is that of most of its labelled
+/// pixels. Throws Error(data) where none of these frames has instances.
+SegmentSet segments_of_scene(const LoadedScene& scene);
 
 // Segments from files that other programs write.
 

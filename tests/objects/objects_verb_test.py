@@ -33,7 +33,7 @@ class Objects(ProgramCase):
 
     def test_files_figures_and_the_same_again(self):
         self.trained("instances")
-        said = json.loads(self.ok(f"objects run --score --pictures --json {QUICK}").out)
+        said = json.loads(self.ok(f"objects run --score --json {QUICK}").out)
         self.assertGreater(said["score"]["mcov"], 0.3)
         self.assertEqual(len(self.read("run/objects/objects.json")["objects"]), said["objects"])
         self.assertGreater(said["objects"], 0)
@@ -43,9 +43,6 @@ class Objects(ProgramCase):
         colors = png_bytes(self.dir / "run/objects/panoptic" / name)
         self.assertEqual([colors[3 * i] + 256 * colors[3 * i + 1] for i, id in enumerate(ids) if id],
                          [id for id in ids if id])
-        # Strips show photograph, segments, objects and truth, four panels of the view's size.
-        strip = (self.dir / "run/objects/pictures" / name).read_bytes()
-        self.assertEqual(struct.unpack_from(">II", strip, 16), (4 * 48 + 3 * 4, 36))
         # Found anew, the same objects get the edits that were made of them; others are refused.
         first = (self.dir / "run/objects/objects.csv").read_text()
         ids = sound_tensors(self.dir / "run/objects/found.safetensors", 0)["id"]
