@@ -199,7 +199,8 @@ class Mesh(VerbCase):
         self.assertEqual(len(json.loads(pathlib.Path(f"{stem}.json").read_text())["files"]), len(said["files"]))
         # The ending alone says so, and a page alone has no sidecar.
         one = self.dir / "one.pcd"
-        self.assertEqual(self.ok(["mesh", self.run_dir, "--resolution", 24, "--out", one]).out, f"mesh: file={one}\n")
+        self.assertRegex(self.ok(["mesh", self.run_dir, "--resolution", 24, "--out", one]).out,
+                         rf"\Amesh: points=\d+ file={one}\n\Z")
         self.mesh("--resolution", 24, "--out", self.dir / "alone.html")
         self.assertFalse((self.dir / "alone.json").exists())
 
