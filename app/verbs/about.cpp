@@ -33,7 +33,6 @@
 #include "execution/device_library.h"
 #include "plugin/loader.h"
 #include "plugin/reference.h"
-#include "report/sweep.h"
 #include "session/assembly.h"
 #include "session/settings/choices.h"
 #include "session/settings/run_config.h"
@@ -407,18 +406,13 @@ int explain(const ConfigWords& options, AppContext& context) {
   return 0;
 }
 
-// config schema: the JSON schema of configurations, or of sweep files.
+// config schema: the JSON schema of configurations.
 
 struct SchemaOptions : Options {
   using Options::Options;
-  const bool& of_sweeps = flag("--sweep", "print the schema of sweep files instead");
 };
 
-int run(const SchemaOptions& options, AppContext& context) {
-  if (options.of_sweeps) {
-    std::fputs(sweep_schema().c_str(), stdout);
-    return 0;
-  }
+int run(const SchemaOptions&, AppContext& context) {
   std::fputs(json_schema_of("Semfield configuration", describe_sections(&context.registry)).c_str(), stdout);
   return 0;
 }

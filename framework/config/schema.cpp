@@ -46,8 +46,6 @@ Json value_schema(std::string_view type, const Range& limits) {
     return out;
   }
   if (type.starts_with("list of ")) return {{"type", "array"}, {"items", value_schema(type.substr(8), limits)}};
-  if (type == "list") return {{"type", "array"}, {"minItems", 1}};
-  if (type == "map") return {{"type", Json::array({"object", "null"})}};
   SEMFIELD_CHECK(type == "text", "no parameter type '" + std::string(type) + "' (see ParamDoc)");
   // An unquoted number or bool is read as text where text is asked for.
   return {{"type", Json::array({"string", "number", "boolean"})}};
@@ -64,13 +62,8 @@ void add_params(Json& properties, const std::vector<ParamDoc>& docs) {
   for (const ParamDoc& doc : docs) properties[doc.name] = param_schema(doc);
 }
 
-// What "*" stands for is allowed under any name, and stands there once at least.
 Json closed_map(Json properties) {
-  Json others = properties.value("*", Json(false));
-  const bool any_name = properties.erase("*") > 0;
-  Json map{{"type", "object"}, {"properties", std::move(properties)}, {"additionalProperties", std::move(others)}};
-  if (any_name) map["minProperties"] = 1;
-  return map;
+  return {{"type", "object"}, {"properties", std::move(properties)}, {"additionalProperties", false}};
 }
 
 Json choice_schema(const std::vector<SchemaSection>& choices, const Json& shared) {

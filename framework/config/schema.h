@@ -9,9 +9,8 @@
 namespace semfield {
 
 /// The keys of one map, `path` being its key path: "train", "train.adam", "" for the top; "passes[]" is each item of a
-/// list, "scenes.*" what stands under any name. With `alternatives` ("scene", "passes[].sampler") the map's key `type`
-/// chooses one of them by its `path`, and sections at or below the same path ("scene.labels") are allowed with every
-/// alternative.
+/// list. With `alternatives` ("scene", "passes[].sampler") the map's key `type` chooses one of them by its `path`, and
+/// sections at or below the same path ("scene.labels") are allowed with every alternative.
 struct SchemaSection {
   std::string path;
   std::string sentence;

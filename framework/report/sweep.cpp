@@ -16,7 +16,6 @@
 
 #include "config/compose.h"
 #include "config/params.h"
-#include "config/schema.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "core/view.h"
@@ -34,7 +33,7 @@ constexpr std::size_t kMostVariants = 10'000;
 constexpr std::array<std::string_view, 2> kSplits{"test", "train"};
 constexpr std::array<std::string_view, 3> kFusions{"monocular", "bayesian", "average"};
 
-// What is read of a map, and what the schema says of it: parameters, and below them the keys that are none.
+// What is read of a map: parameters, and below them the keys that are none.
 
 void describe_word(ParamVisitor& visit, const ParamInfo& info, std::string& value,
                    std::span<const std::string_view> names) {
@@ -301,41 +300,6 @@ Sweep read_sweep(const std::string& path) {
 }
 
 using Json = nlohmann::ordered_json;
-
-// A JSON schema of sweep files.
-
-std::string sweep_schema() {
-  const auto section = [](std::string path, std::string sentence, const Describe& keys, std::vector<ParamDoc> more) {
-    SchemaSection out{std::move(path), std::move(sentence), describe_params(keys)};
-    for (ParamDoc& key : out.params) key.default_value.clear();
-    out.params.insert(out.params.end(), more.begin(), more.end());
-    return out;
-  };
-  const auto key = [](const char* name, const char* type, const char* help) {
-    return ParamDoc{name, type, "", "", help, {}};
-  };
-  Experiment e;
-  SweepScene scene;
-  SweepVariant variant;
-  FuseCell fuse;
-  return json_schema_of(
-      "Semfield sweep",
-      {section("", "", keys_of(e),
-               {key("base", "text", "configuration that every cell starts from"),
-                key("set", "map", "key paths and values for every cell, before the variant's own"),
-                key("sweeps", "list of text", "instead of all that: such files; the other keys are merged over each")}),
-       section("scenes.*", "a scene", keys_of(scene),
-               {key("base", "text", "configuration of this scene, instead of the sweep's"),
-                key("set", "map", "key paths and values, before the sweep's and the variant's own"),
-                key("after", "map", "key paths and values, after the variant's own")}),
-       section("variants.*", "a row of the table", keys_of(variant),
-               {key("base", "text", "configuration instead of the scene's"),
-                key("set", "map", "key paths and values of this row")}),
-       section("variants.*.fuse", "fuse labels over views instead of training", keys_of(fuse), {}),
-       {"scenes", "scenes by name; without them the base's own"},
-       {"variants", "rows by name"},
-       {"grid", "instead of variants: key paths to lists of values, every combination a row", {key("*", "list", "")}}});
-}
 
 namespace {
 

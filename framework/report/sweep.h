@@ -74,11 +74,6 @@ struct Sweep {
 /// over each. Throws Error(config) with every error on its own line.
 Sweep read_sweep(const std::string& path);
 
-// A JSON schema of sweep files, for editors.
-
-/// Draft 7, indented by two spaces; it refuses the keys that read_sweep refuses.
-std::string sweep_schema();
-
 // The cells of a sweep: every run that its tables need, each once however many tables show it.
 
 /// One figure of a table: indices into the sweep.

@@ -193,34 +193,6 @@ TEST_F(SweepFile, ABaseWithASceneOfItsOwnIsEnough) {
   EXPECT_HAS(error_of("name: a/b\nbase: base.yaml\nvariants: {v: }\n"), "sweep.yaml:1:7: name:", "a/b", "cannot hold");
 }
 
-// The schema and the reader know the same keys.
-TEST_F(SweepFile, TheSchemaHasTheKeysThatAreRead) {
-  const nlohmann::json schema = nlohmann::json::parse(sweep_schema());
-  const auto keys_of = [](const nlohmann::json& map) {
-    std::set<std::string> keys;
-    for (const auto& [key, value] : map["properties"].items()) keys.insert(key);
-    return keys;
-  };
-  const auto known = [&](const std::string& text) {
-    const std::string what = error_of(text);
-    const std::size_t begin = what.find("known: ");
-    std::set<std::string> keys;
-    std::istringstream words(begin == std::string::npos ? ""
-                                                        : what.substr(begin + 7, what.find('\n', begin) - begin - 7));
-    for (std::string word; words >> word;) keys.insert(word.substr(0, word.find(',')));
-    return keys;
-  };
-  const std::string rest = "base: base.yaml\n";
-  std::set<std::string> top = known(rest + "variants: {v: }\nqqqqqqqqqqqq: 1\n");
-  top.insert({"sweeps", "include"});
-  EXPECT_EQ(keys_of(schema), top);
-  const auto each = [&](const char* key) { return schema["properties"][key]["additionalProperties"]; };
-  EXPECT_EQ(keys_of(each("variants")), known(rest + "variants: {v: {qqqqqqqqqqqq: 1}}\n"));
-  EXPECT_EQ(keys_of(each("scenes")), known(rest + "scenes: {a: {qqqqqqqqqqqq: 1}}\nvariants: {v: }\n"));
-  EXPECT_EQ(keys_of(each("variants")["properties"]["fuse"]),
-            known(rest + "variants: {v: {fuse: {method: average, qqqqqqqqqqqq: 1}}}\n"));
-}
-
 // Every file that is shipped reads, and its cells' configurations too.
 TEST_F(SweepFile, ShippedExperimentsArePlanned) {
   const fs::path experiments = fs::path(SEMFIELD_SOURCE_DIR) / "configs" / "experiments";

@@ -4,7 +4,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <filesystem>
 #include <utility>
@@ -57,18 +56,14 @@ std::string owner_of(const PluginSlot& slot) {
 // see(key, slot) for every plugin of the passes: "passes.main.semantic.field".
 template <class See>
 void each_slot(const RunConfig& config, const See& see) {
-  const auto look = [&](const std::string& key, const PluginSlot& slot) {
-    if (slot.entry != nullptr) see(key, slot);
+  const auto look = [&](const std::string& key, const auto& owner) {
+    each_slot_of(owner, [&](const char* name, PluginKind, const PluginSlot& slot, bool, const char*) {
+      if (slot.entry != nullptr) see(key + "." + name, slot);
+    });
   };
   for (const PassConfig& pass : config.passes) {
-    look(pass.key + ".sampler", pass.sampler);
-    look(pass.key + ".position", pass.position);
-    look(pass.key + ".direction", pass.direction);
-    look(pass.key + ".field", pass.field);
-    for (const SemanticBranchConfig& branch : pass.semantic) {
-      look(pass.key + "." + branch.key + ".position", branch.position);
-      look(pass.key + "." + branch.key + ".field", branch.field);
-    }
+    look(pass.key, pass);
+    for (const SemanticBranchConfig& branch : pass.semantic) look(pass.key + "." + branch.key, branch);
   }
 }
 
@@ -468,28 +463,11 @@ namespace {
 
 // Sections ("report.") and single keys; see is_part_of_identity. Where data lie is no part of it, what they are is: a
 // checkpoint keeps that (checkpoint_facts.h).
-constexpr std::array<std::string_view, 22> kFree{"name",
-                                                 "base_dir",
-                                                 "plugins",
-                                                 "report.",
-                                                 "fuse.",
-                                                 "propagate.",
-                                                 "limits.",
-                                                 "train.steps",
-                                                 "train.time_s",
-                                                 "train.schedule.decay_steps",
-                                                 "train.schedule.hold_steps",
-                                                 "train.schedule.legs.",
-                                                 "runtime.threads",
-                                                 "runtime.memory_gb",
-                                                 "runtime.device",
-                                                 "scene.root",
-                                                 "scene.file",
-                                                 "scene.classes",
-                                                 "scene.labels.clicks",
-                                                 "scene.labels.from.folder",
-                                                 "scene.labels.from.file",
-                                                 "scene.labels.from.classes"};
+constexpr std::string_view kFree =
+    "name base_dir plugins report. fuse. propagate. limits. train.steps train.time_s train.schedule.decay_steps "
+    "train.schedule.hold_steps train.schedule.legs. runtime.threads runtime.memory_gb runtime.device scene.root "
+    "scene.file scene.classes scene.labels.clicks scene.labels.from.folder scene.labels.from.file "
+    "scene.labels.from.classes";
 
 // The one cause that can be named better than by a place in a file that is not there: a path of the machine's.
 void require_utf8(const std::string& text) {
@@ -507,12 +485,11 @@ void require_utf8(const std::string& text) {
 }
 
 // Without them a step that fails would fail again after each resume.
-constexpr std::array<std::string_view, 4> kRescue{"train.adam.", "train.schedule.", "runtime.seed",
-                                                  "runtime.precision"};
+constexpr std::string_view kRescue = "train.adam. train.schedule. runtime.seed runtime.precision";
 
-template <class List>
-bool listed(const List& list, std::string_view key_path) {
-  return std::any_of(list.begin(), list.end(), [&](std::string_view entry) {
+bool listed(std::string_view list, std::string_view key_path) {
+  const std::vector<std::string_view> entries = words_of(list);
+  return std::any_of(entries.begin(), entries.end(), [&](std::string_view entry) {
     return entry.ends_with('.') ? key_path.starts_with(entry) : key_path == entry;
   });
 }

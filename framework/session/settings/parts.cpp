@@ -17,22 +17,6 @@ namespace semfield {
 
 namespace {
 
-// Every plugin of a pass or a branch, as see(key, kind, slot, whether it must be there, sentence): the one list by
-// which they are read, written and documented.
-template <class Pass, class See>
-void each_slot_of(Pass& pass, const See& see) {
-  if constexpr (requires { pass.sampler; }) {
-    see("sampler", PluginKind::sampler, pass.sampler, true, "where along a ray the field is evaluated");
-    see("position", PluginKind::encoder, pass.position, true, "position encoder");
-    see("direction", PluginKind::encoder, pass.direction, false,
-        "direction encoder; leave it out for a view-independent field");
-    see("field", PluginKind::field, pass.field, true, "the network");
-  } else {
-    see("position", PluginKind::encoder, pass.position, true, "position encoder of the branch");
-    see("field", PluginKind::field, pass.field, true, "network of the branch");
-  }
-}
-
 // Channels that the framework makes or reads itself.
 constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
                             channel::opacity, channel::weight, channel::sigma,      channel::logits};

@@ -104,6 +104,22 @@ struct HeadConfig : HeadChannel, BranchConfig {
   PluginSlot head;
 };
 
+/// Every plugin of a pass or a branch, as see(key, kind, slot, whether it must be there, sentence): the one list by
+/// which they are read, written, documented and looked through.
+template <class Pass, class See>
+void each_slot_of(Pass& pass, const See& see) {
+  if constexpr (requires { pass.sampler; }) {
+    see("sampler", PluginKind::sampler, pass.sampler, true, "where along a ray the field is evaluated");
+    see("position", PluginKind::encoder, pass.position, true, "position encoder");
+    see("direction", PluginKind::encoder, pass.direction, false,
+        "direction encoder; leave it out for a view-independent field");
+    see("field", PluginKind::field, pass.field, true, "the network");
+  } else {
+    see("position", PluginKind::encoder, pass.position, true, "position encoder of the branch");
+    see("field", PluginKind::field, pass.field, true, "network of the branch");
+  }
+}
+
 /// Columns of a head whose dataset has more for its channel, unless its own `width` says otherwise.
 inline constexpr int kUsualHeadWidth = 64;
 /// Settles width and source_width of the heads by the channels of the scene's training frames. Throws Error(config) for
