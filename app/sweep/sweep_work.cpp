@@ -315,10 +315,7 @@ class Pool {
   }
 
   void start(const Cell& cell, const fs::path& folder, FolderLock lock) {
-    const std::string config =
-        cell.pack.empty() ? cell.config
-                          : with_packed_scene(cell.config, options_.pack_reader, pack_file(options_.folder, cell));
-    write_file_atomic((folder / "config.yaml").string(), config);
+    write_file_atomic((folder / "config.yaml").string(), cell.config);
     const std::string device = next_device();
     const std::vector<std::string> words = words_of(cell, folder, device);
     pid_t pid = 0;
@@ -408,11 +405,6 @@ class Pool {
 };
 
 }  // namespace
-
-// Absolute: a run's configuration must hold from any working folder.
-std::string pack_file(const std::string& sweep_folder, const Cell& cell) {
-  return fs::absolute(fs::path(sweep_folder) / "scenes" / (cell.pack + ".sfpack")).string();
-}
 
 bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, EndedCells& ended, const PoolHooks& hooks) {
   install_stop_signals();

@@ -78,7 +78,6 @@ struct PoolOptions {
   std::vector<std::string> devices;  ///< by the names of runtime.device: a cell at a time on each; none: as cells say
   bool keep_checkpoints = false;
   std::vector<std::string> modules;  ///< files of plugins that cells load
-  std::string pack_reader;           ///< Registry::pack_reader, where a cell has a packed scene
 };
 
 struct CellOutcome {
@@ -99,8 +98,5 @@ struct PoolHooks {
 /// end, here or elsewhere, are added to `ended`. Ends early, with the children's checkpoints written, when a stop
 /// signal comes; returns false then.
 bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, EndedCells& ended, const PoolHooks& hooks);
-
-/// The packed copy of a cell's scene (Cell::pack), absolute.
-std::string pack_file(const std::string& sweep_folder, const Cell& cell);
 
 }  // namespace semfield::app

@@ -1,4 +1,6 @@
 // sweep, demo: verbs that start the program again for each of their parts.
+#include "report/sweep.h"
+
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -24,11 +26,8 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "core/view.h"
-#include "core/workspace.h"
 #include "execution/device_library.h"
 #include "execution/ranks/ranks.h"
-#include "loading/packed_scene.h"
-#include "report/sweep.h"
 #include "run/run_folder.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"
@@ -113,8 +112,8 @@ int cores_of_host() {
   return quota > 0 ? std::min(quota, all) : all;
 }
 
-PoolOptions pool_options(const SweepOptions& options, const std::vector<Cell>& cells, const Sweep& sweep,
-                         const Place& place, const Registry& registry) {
+PoolOptions pool_options(const SweepOptions& options, const Sweep& sweep, const Place& place,
+                         const Registry& registry) {
   PoolOptions pool;
   pool.folder = options.out.empty() ? "runs/" + sweep.name : options.out;
   pool.program = own_program();
@@ -124,8 +123,6 @@ PoolOptions pool_options(const SweepOptions& options, const std::vector<Cell>& c
   pool.processes_of_host = place.of_host();
   pool.keep_checkpoints = options.keep_checkpoints;
   pool.modules = registry.module_files();
-  if (std::any_of(cells.begin(), cells.end(), [](const Cell& cell) { return !cell.pack.empty(); }))
-    pool.pack_reader = registry.pack_reader();
   return pool;
 }
 
@@ -216,49 +213,10 @@ class SweepProgress {
   double seconds_ = 0;
 };
 
-// A packed copy whose header and list of frames are whole. Cells check what they read of it.
-bool is_packed(const std::string& file, const SweepNote& note) {
-  if (!std::filesystem::exists(file)) return false;
-  try {
-    const PackedScene scene(file);
-    return true;
-  } catch (const Error& error) {
-    if (error.kind() != ErrorKind::data) throw;
-    note(error.message());
-    return false;
-  }
-}
-
-void pack_scene_of(const Cell& cell, const std::string& file, Registry& registry) {
-  Diagnostics diagnostics;
-  const RunConfig config = read_run_config(parse_config_text(cell.config, "cell"), registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  WorkSettings work = work_settings();
-  work.limits = &config.limits;
-  const WorkScope scope(work);
-  const std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, {config.base_dir});
-  PackOptions whole;
-  whole.depth_as_mm = false;  // the same bits as from the dataset
-  pack_scene(*dataset, file, SceneLoadOptions{}, whole, diagnostics);
-}
-
-// Packs the scenes that cells share (Cell::pack) into FOLDER/scenes/, those that are not there yet or are damaged. One
-// process at a time does so; the others wait for it, and `note` says so.
-void pack_scenes(const std::vector<Cell>& cells, const std::string& folder, Registry& registry, const SweepNote& note) {
-  if (std::all_of(cells.begin(), cells.end(), [](const Cell& cell) { return cell.pack.empty(); })) return;
-  const FolderLock alone = lock_when_free((std::filesystem::path(folder) / "scenes").string(), note);
-  for (const Cell& cell : cells) {
-    const std::string file = cell.pack.empty() ? "" : pack_file(folder, cell);
-    if (file.empty() || is_packed(file, note)) continue;
-    note("packing the scene '" + cell.scene + "'");
-    pack_scene_of(cell, file, registry);
-  }
-}
-
 // This process's part of the work. Throws what went wrong here, which need not go wrong in the other processes.
 int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell>& cells, const Place& place,
          AppContext& context) {
-  PoolOptions pool = pool_options(options, cells, sweep, place, context.registry);
+  PoolOptions pool = pool_options(options, sweep, place, context.registry);
   if (options.dry_run) return place.reports() ? list_cells(cells, pool.folder, sweep, context) : 0;
   pool.devices = own_devices(options, place);
   if (!pool.devices.empty()) pool.jobs = static_cast<int>(pool.devices.size());
@@ -269,7 +227,6 @@ int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell
   EndedCells ended;
   for (const Cell& cell : cells) notice_cell(ended, pool.folder, cell.id);
   progress.begin(pool, folder, ended);
-  if (ended.results.size() < cells.size()) pack_scenes(cells, pool.folder, context.registry, note);
   PoolHooks hooks;
   hooks.finished = [&](const CellOutcome& outcome) {
     folder.write_tables(ended);

@@ -35,14 +35,6 @@ void Registry::add(PluginEntry entry) {
   entries_.emplace(std::move(key), std::move(entry));
 }
 
-const std::string& Registry::pack_reader() const {
-  for (const auto& [key, entry] : entries_) {
-    if (entry.reads_packs) return entry.name;
-  }
-  throw Error(ErrorKind::unavailable, "plugin.dataset.packed", "no dataset of this build reads packed scenes",
-              "take `pack` out of the sweep's scenes");
-}
-
 const PluginEntry& Registry::usual_grouping() const {
   for (const auto& [key, entry] : entries_) {
     if (entry.usual) return entry;

@@ -152,10 +152,9 @@ struct PluginEntry {
   std::function<std::unique_ptr<LabelReader>(const PluginParams&)> label_reader;
   std::function<std::unique_ptr<Degradation>(const PluginParams&)> degradation;
   std::function<std::unique_ptr<Grouping>(const PluginParams&)> grouping;
-  std::string saves;         ///< of a loss: what its absence saves, in words
-  bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
-  bool usual = false;        ///< a grouping that is taken where none is named
-  bool slow = false;         ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
+  std::string saves;   ///< of a loss: what its absence saves, in words
+  bool usual = false;  ///< a grouping that is taken where none is named
+  bool slow = false;   ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
 };
 
 class Registry {
@@ -199,9 +198,8 @@ class Registry {
   }
   /// Impl(const Params&, const DatasetBuild&).
   template <class Impl, class Params>
-  void add_dataset(std::string name, std::string summary, bool reads_packs = false) {
+  void add_dataset(std::string name, std::string summary) {
     PluginEntry e = entry_of<Params>(PluginKind::dataset, std::move(name), std::move(summary));
-    e.reads_packs = reads_packs;
     e.dataset = [](const PluginParams& p, const DatasetBuild& build) -> std::unique_ptr<Dataset> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build);
     };
@@ -251,8 +249,6 @@ class Registry {
   const PluginEntry* find(PluginKind kind, std::string_view name) const;
   /// Throws Error(config): "no encoder named 'wave'; known: ...; did you mean 'waves'?".
   const PluginEntry& get(PluginKind kind, std::string_view name) const;
-  /// Name of the dataset that reads packed scenes. Throws Error(unavailable) where none does.
-  const std::string& pack_reader() const;
   /// The grouping that is taken where none is named. Throws Error(unavailable) where none says so.
   const PluginEntry& usual_grouping() const;
   /// Every entry, by kind then name.

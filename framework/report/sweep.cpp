@@ -64,9 +64,6 @@ Describe keys_of(Experiment& e) {
     SEMFIELD_PARAM(visit, e, seeds, "each goes to runtime.seed and scene.labels.seed", {0, 4294967295.0});
   };
 }
-Describe keys_of(SweepScene& scene) {
-  return [&scene](ParamVisitor& visit) { SEMFIELD_PARAM(visit, scene, pack, "all cells read one packed copy"); };
-}
 Describe keys_of(SweepVariant& v) {
   return [&v](ParamVisitor& visit) {
     describe_number(visit, {"x", "abscissa of the plot"}, v.x);
@@ -169,7 +166,7 @@ class Reader {
       const std::string path = "scenes." + name;
       SweepScene scene;
       scene.name = name;
-      read(node, path, keys_of(scene), {"base", "set", "after"});
+      read(node, path, [](ParamVisitor&) {}, {"base", "set", "after"});
       const ConfigNode* own = node.find("base");
       const ConfigNode* file = own != nullptr ? own : base;
       if (file == nullptr || !file->is_scalar()) {
@@ -345,24 +342,7 @@ std::string identity_of(const std::string& config) {
   return write_config(parse_config_text(config, "cell").without("limits"));
 }
 
-// The dataset and its parameters: what a packed file depends on.
-std::string scene_section(const std::string& config) {
-  const ConfigNode root = parse_config_text(config, "cell");
-  return write_config(root.find("scene")->without("labels").without("load"));
-}
-
 }  // namespace
-
-std::string with_packed_scene(const std::string& config, const std::string& reader, const std::string& file) {
-  const ConfigNode root = parse_config_text(config, "cell");
-  ConfigNode scene = ConfigNode::make_map({}, {});
-  scene = scene.with("type", ConfigNode::make_scalar(reader, false, {}));
-  scene = scene.with("file", ConfigNode::make_scalar(file, true, {}));
-  for (const char* key : {"labels", "load"}) {
-    if (const ConfigNode* part = root.find("scene")->find(key)) scene = scene.with(key, *part);
-  }
-  return write_config(root.with("scene", scene));
-}
 
 std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
   std::vector<Cell> cells;
@@ -385,7 +365,6 @@ std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
             if (cell.config.empty()) continue;
             cell.split = e.split;
             cell.scene = e.scenes[s].name;
-            if (e.scenes[s].pack) cell.pack = hex64(fnv1a64(scene_section(cell.config)));
             cell.label = e.name + " / " + variant.name;
             cell.seed = e.seeds[seed];
             if (variant.fuse) {

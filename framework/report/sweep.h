@@ -46,7 +46,6 @@ struct SweepScene {
   std::string base;                   ///< configuration file, absolute
   std::vector<ConfigOverride> set;    ///< before the variant's
   std::vector<ConfigOverride> after;  ///< after them: what a variant's step needs to know of this scene
-  bool pack = false;  ///< cells read the scene from one packed file, made once: where opening it costs time
 };
 
 struct Experiment {
@@ -89,7 +88,6 @@ struct Cell {
   std::string config;  ///< resolved YAML
   std::string split;
   std::string scene;  ///< name, for messages
-  std::string pack;   ///< hash of the scene's own section: cells with the same one share a packed file; empty: none
   std::string label;  ///< "experiment / variant", of the first use
   std::int64_t seed = 0;
   FuseCell fuse;           ///< method empty: train, or find objects
@@ -103,10 +101,6 @@ struct Cell {
 /// Cells in the order of the tables; those that others wait for come first. Seeds go to runtime.seed and
 /// scene.labels.seed. Throws Error(config) with every error of every cell's configuration, each named once.
 std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry);
-
-/// `config` with its dataset replaced by `reader` (Registry::pack_reader) of the packed scene `file`; labels and sizes
-/// stay.
-std::string with_packed_scene(const std::string& config, const std::string& reader, const std::string& file);
 
 /// Metric and value, in the order written; a metric without data is absent.
 using CellValues = std::vector<std::pair<std::string, double>>;

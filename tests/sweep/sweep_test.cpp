@@ -154,23 +154,6 @@ TEST_F(SweepFile, AListOfSweepsIsMergedUnderItsOwnKeys) {
   EXPECT_EQ(sweep.experiments[1].scenes.size(), 1u);
 }
 
-TEST_F(SweepFile, PackedCellsKeepLabelsAndSizes) {
-  const std::vector<Cell> all = cells(
-      "base: base.yaml\nscenes: {a: {pack: true, set: {scene.labels.frames: 10%, scene.load.downscale: 2}}}\n"
-      "variants: {x: , y: {set: {scene.labels.frames: 50%}}, z: {set: {scene.hfov_deg: 80}}}\n");
-  EXPECT_EQ(all[0].pack, all[1].pack) << "labels are no part of the packed scene";
-  EXPECT_NE(all[0].pack, all[2].pack);
-  const ConfigNode config =
-      parse_config_text(with_packed_scene(all[0].config, registry_.pack_reader(), "/p.sfpack"), "t");
-  const ConfigNode& scene = *config.find("scene");
-  EXPECT_EQ(scene.find("type")->text(), "packed");
-  EXPECT_EQ(scene.find("root"), nullptr);
-  EXPECT_EQ(scene.find("labels")->find("frames")->text(), "10%");
-  Diagnostics d;
-  (void)read_run_config(config, registry_, d);
-  EXPECT_FALSE(d.has_errors()) << d.all()[0].text();
-}
-
 TEST_F(SweepFile, AnErrorOfACellNamesTheCellAndIsSaidOnce) {
   const std::string what =
       error_of("base: base.yaml\nseeds: [1, 2]\nscenes: {a: }\nvariants: {v: {set: {train.rayz: 3}}}\n");

@@ -7,7 +7,6 @@ import json
 import os
 import pathlib
 import random
-import shutil
 import signal
 import socket
 import sys
@@ -21,7 +20,7 @@ MPIRUN = os.environ.get("SEMFIELD_MPIRUN")
 TIMES = ("train_s", "processor_s", "peak_mb")  # what is measured of a process differs from run to run
 SWEEP = """base: base.yaml
 split: train
-scenes: {room: {pack: true}}
+scenes: {room: }
 metrics: [miou_present, given_miou_present]
 variants:
   clean: {x: 0}
@@ -89,7 +88,6 @@ class Sweep(SweepCase):
                  "tiny,room,fused,1,miou_present,")
         self.has((out / "tables.md").read_text(), "| fused |")
         self.has((out / "tables.html").read_text(), '"experiments"', '"fused"')
-        self.assertEqual(len(list(out.glob("scenes/*.sfpack"))), 1)
         # Again, from another working folder: nothing runs, the same bytes.
         self.ended(self.words(), 0, "3 of them done", folder=self.folder())
         self.assertEqual((out / "results.csv").read_text(), csv)
@@ -139,14 +137,6 @@ class Sweep(SweepCase):
         self.has(self.ok(second.wait()).out, "cells=3 done=3 failed=0")
         # What it had learned is not lost: the run was gone on with.
         self.lacks(self.cells("result.json")[cell], "processor_s")
-
-    def test_a_damaged_pack_is_made_again(self):
-        out = self.sweep(3)
-        self.ok(self.words())
-        for pack in out.glob("scenes/*.sfpack"):
-            os.truncate(pack, pack.stat().st_size // 2)
-        shutil.rmtree(out / "cells")
-        self.has(self.ok(self.words()).err, "packing the scene 'room'")
 
     def test_kills_of_two_processes_lose_no_result(self):
         """Two on one folder, killed at random moments and started again. SEMFIELD_SWEEP_KILLS: starts and kills of both
@@ -203,7 +193,6 @@ class SharedSweep(SweepCase):
         self.assertEqual([a.out, b.out], [self.done(6)] * 2)
         counts = [r.err.count("/6] ") for r in (a, b)]
         self.assertTrue(sum(counts) == 6 and all(counts), a.err + b.err)
-        self.assertEqual((a.err + b.err).count("packing the scene"), 1)
         self.assertEqual(self.results(), one)
         for name in ("tables.md", "cells.csv", "tiny.csv", "tables.html"):
             self.assertEqual((out / name).read_bytes(), (self.dir / "one" / name).read_bytes(), name)

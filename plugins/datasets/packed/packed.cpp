@@ -85,8 +85,8 @@ class Packed final : public Dataset {
 };
 
 SEMFIELD_PLUGIN_MODULE(packed, "1.0", [](Registry& registry) {
-  registry.add_dataset<Packed, PackedParams>(
-      "packed", "One-file scenes written by `semfield pack`; need no image library.", true);
+  registry.add_dataset<Packed, PackedParams>("packed",
+                                             "One-file scenes written by `semfield pack`; need no image library.");
 })
 
 }  // namespace semfield
