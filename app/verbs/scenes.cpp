@@ -299,10 +299,8 @@ struct PrepareVerbOptions : Options {
   const std::string& out = required("--out FOLDER", "scene to write; what was interrupted continues there");
   const long long& frames =
       value_in("--frames N", 0LL, 0, 10000, "frames to keep of a video at most; 0: three a second, 30 to 300");
-  const std::string& lens =
-      choice("--lens KIND", "auto", {"auto", "fisheye", "equirectangular"},
-             "of the camera; auto: perspective, and a fisheye where that does not fit. equirectangular: panoramas, "
-             "which are cut into eight views each");
+  const std::string& lens = choice("--lens KIND", "auto", {"auto", "fisheye"},
+                                   "of the camera; auto: perspective, and a fisheye where that does not fit");
   const int& attempts =
       value_in("--attempts N", 0, 0, kMostAttempts,
                "attempts to give every photograph a pose, at most; each takes longer than the one before. 0: 4, or as "
@@ -311,12 +309,6 @@ struct PrepareVerbOptions : Options {
 };
 
 struct Stopped {};
-
-LensAsked lens_of(const std::string& word) {
-  return word == "fisheye"           ? LensAsked::fisheye
-         : word == "equirectangular" ? LensAsked::equirectangular
-                                     : LensAsked::automatic;
-}
 
 // Programs and steps end at the first stop signal; the folder's steps remember what is done. False where it came.
 template <class Work>
@@ -402,7 +394,7 @@ std::optional<FolderScene> posed_scene_in(const std::string& source, AppContext&
 
 // Poses are there: what asks how to find them would be ignored.
 void refuse_other_options(const PrepareVerbOptions& options) {
-  if (options.frames == 0 && options.attempts == 0 && lens_of(options.lens) == LensAsked::automatic) return;
+  if (options.frames == 0 && options.attempts == 0 && options.lens == "auto") return;
   throw Error(ErrorKind::usage, "capture.options.poses",
               "'" + options.source +
                   "' has poses, which are corrected; --frames, --lens and --attempts are for those "
@@ -469,7 +461,7 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
   const bool whole =
       stoppable(context, [&](const Programs& programs, const CaptureProgress& progress, const auto& note) {
         report = prepare_scene({options.source, options.out, static_cast<std::size_t>(options.frames), options.threads,
-                                lens_of(options.lens), options.attempts, note},
+                                options.lens == "fisheye", options.attempts, note},
                                programs, progress);
       });
   if (!whole) return 128 + stop_signal();

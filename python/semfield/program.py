@@ -114,7 +114,7 @@ def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 0,
         frames: of a video, at most; 0: three a second, 30 to 300.
         attempts: to give every photograph a pose, at most 4. 0: 4, or as many as a finished scene was given.
         threads: of COLMAP; None: every core.
-        lens: "auto", "fisheye", or "equirectangular" for panoramas, each of which becomes eight views.
+        lens: "auto" or "fisheye".
 
     Raises:
         CommandError: a program is missing or failed, the source cannot be used, or no poses were found.

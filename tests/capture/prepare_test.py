@@ -59,20 +59,6 @@ class TrueFfmpeg(PrepareCase):
             images = [path for path in new if path.parent == folder / "scene/images" and "frame_" in path.name]
             self.assertEqual(len(images), 6, name)
 
-    def test_a_percent_sign_is_a_part_of_a_panoramas_name(self):
-        folder = self.dir / "50%off %02d"
-        folder.mkdir()
-        for i in range(3):
-            flat(folder / f"p%02d_{i}.png", 60 * i + 40)
-            flat(folder / f"p0{i}_0.png", 5)
-        self.refused("'50%off %02d' --out 's%03d' --lens equirectangular", 65, "[capture.poses.none]")
-        self.assertEqual(len([path for path in (self.dir / "s%03d/images").rglob("*") if path.is_file()]), 48)
-        for i in range(3):
-            view = self.dir / f"s%03d/images/p%02d_{i}_090.jpg"
-            grey = subprocess.check_output(["ffmpeg", "-v", "error", "-i", f"file:{view}", "-f", "rawvideo", "-pix_fmt",
-                                            "gray", "-"], stdin=subprocess.DEVNULL)
-            self.assertAlmostEqual(grey[0], 60 * i + 40, delta=3, msg="another image was cut")
-
     def test_a_playlist_is_no_film(self):
         secret = self.dir / "secret.mp4"
         self.film(secret)

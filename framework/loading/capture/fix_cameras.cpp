@@ -81,7 +81,7 @@ void check_frames(const SceneInfo& info) {
   for (const FrameInfo& frame : info.frames) {
     if (frame.camera.lens == LensKind::equirectangular)
       found.error("capture.lens.panorama", frame.name, "a panorama has no lens to fix",
-                  "prepare the panoramas themselves with --lens equirectangular");
+                  "cut them into perspective views, as with the filter v360 of ffmpeg, and prepare these");
   }
   found.throw_if_errors(ErrorKind::data, "the cameras cannot be fixed:");
 }

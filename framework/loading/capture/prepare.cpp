@@ -258,9 +258,9 @@ struct Attempt {
 };
 
 // A fisheye whose image holds a half sphere from corner to corner has a focal length of a third of its diagonal.
-constexpr double kPhotographFocal = 1.2, kFisheyeFocal = 0.4, kViewFocal = 0.5;
+constexpr double kPhotographFocal = 1.2, kFisheyeFocal = 0.4;
 
-std::vector<Attempt> ladder(LensAsked asked) {
+std::vector<Attempt> ladder(bool is_fisheye) {
   const auto quick = [](const char* name, const char* lens, double focal) {
     return FeatureSettings{name, lens, focal, 1024, 2048, 1, 0.0067};
   };
@@ -271,9 +271,7 @@ std::vector<Attempt> ladder(LensAsked asked) {
     return std::vector<Attempt>{{first, false, false}, {first, true, false}, {last, true, true}};
   };
   const FeatureSettings wide = patient("fisheye", "OPENCV_FISHEYE", kFisheyeFocal);
-  if (asked == LensAsked::fisheye) return steps(quick("fisheye_quick", "OPENCV_FISHEYE", kFisheyeFocal), wide);
-  if (asked == LensAsked::equirectangular)
-    return steps(quick("views_quick", "SIMPLE_PINHOLE", kViewFocal), patient("views", "SIMPLE_PINHOLE", kViewFocal));
+  if (is_fisheye) return steps(quick("fisheye_quick", "OPENCV_FISHEYE", kFisheyeFocal), wide);
   std::vector<Attempt> all =
       steps(quick("quick", "SIMPLE_RADIAL", kPhotographFocal), patient("patient", "OPENCV", kPhotographFocal));
   all.push_back({wide, true, true});
@@ -436,7 +434,7 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
   const double asked = task.attempts > 0 ? task.attempts : earlier > 0 ? earlier : kMostAttempts;
   const double most = std::max(asked, earlier);
   const std::size_t count = task.names.size();
-  const std::vector<Attempt> attempts = ladder(task.lens);
+  const std::vector<Attempt> attempts = ladder(task.fisheye);
   const Attempt* best = nullptr;  // which made the best model
   bool is_new = false;
   for (const Attempt& attempt : attempts) {
@@ -611,7 +609,7 @@ std::string identity_of(const CaptureSource& source, const PrepareOptions& optio
     out += name + " " + std::to_string(fs::file_size(path, unknown)) + " " +
            std::to_string(fs::last_write_time(path, unknown).time_since_epoch().count()) + "\n";
   };
-  if (options.lens != LensAsked::automatic) out += options.lens == LensAsked::fisheye ? "fisheye\n" : "panoramas\n";
+  if (options.fisheye) out += "fisheye\n";
   if (source.video) add("video", source.path);
   for (const Photograph& one : source.photographs) add(one.name, one.path);
   return out;
@@ -689,27 +687,6 @@ std::vector<std::string> bring_images(const CaptureSource& source, const Prepare
   return names;
 }
 
-// The same of the scene: of panoramas, their views.
-std::vector<std::string> bring_views(const CaptureSource& source, const PrepareOptions& options, const Folders& folders,
-                                     PrepareState& state, const Programs& programs, const CaptureProgress& progress) {
-  if (options.lens != LensAsked::equirectangular)
-    return bring_images(source, options, folders, state, programs, progress);
-  if (state.done("views") == nullptr) {
-    Folders whole = folders;
-    whole.images = folders.work / "panoramas";
-    const std::string views = (folders.work / "views").string();
-    const std::vector<std::string> names =
-        cut_panoramas({bring_images(source, options, whole, state, programs, progress), whole.images.string(), views,
-                       folders.logs.string()},
-                      programs, progress);
-    fs::remove_all(folders.images);
-    fs::rename(views, folders.images);
-    state.mark("views", join(names, "\n"));
-    fs::remove_all(whole.images);
-  }
-  return state.lines("views");
-}
-
 // Of the images without a pose, those that are much less sharp than those with one.
 std::vector<std::string> blurred_among_missing(const std::vector<std::string>& names, const FoundModel& model,
                                                const fs::path& images) {
@@ -764,8 +741,7 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   check_photographs(source, report.findings);
   report.findings.throw_if_errors(ErrorKind::data, "the photographs cannot be one scene:");
   for (const char* name : {"colmap", "ffmpeg", "ffprobe"}) {
-    const bool cuts = source.video || options.lens == LensAsked::equirectangular;
-    if (cuts || std::string_view(name) == "colmap") (void)program_file(programs, name);
+    if (source.video || std::string_view(name) == "colmap") (void)program_file(programs, name);
   }
   const std::string scene = fs::absolute(options.out).lexically_normal().string();
   if (!source.video && (scene + "/").starts_with(source.path + "/"))
@@ -779,7 +755,7 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
       refined != nullptr && state.done("published") == nullptr && fs::exists(folders.model))
     state.mark("published", std::string(*refined));
 
-  const std::vector<std::string> names = bring_views(source, options, folders, state, programs, progress);
+  const std::vector<std::string> names = bring_images(source, options, folders, state, programs, progress);
   if (const std::string* cut = state.done("cut")) report.cut = *cut;
   report.photographs = names.size();
   const ImageSize size = image_size((folders.images / names.front()).string());
@@ -787,15 +763,14 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   report.height_px = size.height_px;
   const ColmapSteps colmap(programs, progress, folders.images.string(), folders.work.string(), folders.logs.string(),
                            options.threads > 0 ? options.threads : hardware_threads());
-  const Reconstruction found =
-      reconstruct({.names = names,
-                   .in_order = source.video,
-                   .camera_per_folder = source.camera_per_folder && options.lens != LensAsked::equirectangular,
-                   .work = folders.work.string(),
-                   .lens = options.lens,
-                   .attempts = options.attempts,
-                   .note = options.note},
-                  colmap, state);
+  const Reconstruction found = reconstruct({.names = names,
+                                            .in_order = source.video,
+                                            .camera_per_folder = source.camera_per_folder,
+                                            .work = folders.work.string(),
+                                            .fisheye = options.fisheye,
+                                            .attempts = options.attempts,
+                                            .note = options.note},
+                                           colmap, state);
   report.registered = found.best.images.size();
   report.points = found.best.points;
   report.error_px = found.best.error_px;

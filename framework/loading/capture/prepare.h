@@ -119,10 +119,6 @@ class ColmapSteps {
 /// The whole number behind the last `before` in a log: how far a program is. 0 where there is none.
 double last_number_after(const std::string& text, const std::string& before);
 
-/// What kind of lens took the photographs. `automatic` is a perspective one until no attempt with it is enough.
-/// `equirectangular` are panoramas, which come as perspective views of 90 degrees.
-enum class LensAsked : std::uint8_t { automatic, fisheye, equirectangular };
-
 /// A model that COLMAP made.
 struct FoundModel {
   std::string folder;
@@ -138,9 +134,9 @@ struct ReconstructTask {
   std::vector<std::string> names;  ///< of the images, in the order in which they were taken
   bool in_order = false;           ///< frames of a film: neighbours are neighbours
   bool camera_per_folder = false;
-  std::string work;  ///< folder
-  LensAsked lens = LensAsked::automatic;
-  int attempts = 0;  ///< at most; 0: those of an earlier call that ended with a model, or kMostAttempts
+  std::string work;      ///< folder
+  bool fisheye = false;  ///< its lens took the photographs; false: a perspective one, until no attempt is enough
+  int attempts = 0;      ///< at most; 0: those of an earlier call that ended with a model, or kMostAttempts
   /// Told of an attempt that was not enough, before the next.
   std::function<void(const std::string&)> note = [](const std::string&) {};
 };
@@ -187,15 +183,15 @@ struct PrepareOptions {
   std::string out;         ///< folder of the scene
   std::size_t frames = 0;  ///< of a video, at most; 0: as VideoCut
   int threads = 0;         ///< 0: every core
-  LensAsked lens = LensAsked::automatic;
-  int attempts = 0;  ///< to give every photograph a pose, at most; 0: as ReconstructTask
+  bool fisheye = false;    ///< as ReconstructTask
+  int attempts = 0;        ///< to give every photograph a pose, at most; 0: as ReconstructTask
   std::function<void(const std::string&)> note = [](const std::string&) {};  ///< of an attempt that was not enough
 };
 
 struct PrepareReport {
-  std::size_t photographs = 0, registered = 0, points = 0;  ///< of panoramas, their views
-  std::int32_t width_px = 0, height_px = 0;                 ///< of the first
-  double error_px = 0;                                      ///< mean reprojection error
+  std::size_t photographs = 0, registered = 0, points = 0;
+  std::int32_t width_px = 0, height_px = 0;  ///< of the first
+  double error_px = 0;                       ///< mean reprojection error
   int attempts = 0;
   std::string cut;  ///< what was kept of a video; empty of photographs
   std::vector<Missing> missing;
