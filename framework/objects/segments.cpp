@@ -17,20 +17,13 @@
 #include "formats/text_rows.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/mask_outlines.h"
+#include "labels/mask_json.h"
 #include "system/files.h"
 
 namespace semfield {
 
-/// Pixels of one segment.
-struct SegmentMask {
-  std::vector<PixelRun> runs;
-  std::int64_t area = 0;  ///< pixels
-  std::int16_t class_index = kVoid;
-};
-
 /// Segments of an image from its masks, which may overlap: the smaller lies in front of the larger.
-FrameSegments painted_segments(std::vector<SegmentMask> masks, std::int32_t width, std::int32_t height);
+FrameSegments painted_segments(std::vector<MaskPixels> masks, std::int32_t width, std::int32_t height);
 
 /// Throws Error(data) beginning with `place` for a size over limits.*, or of another shape than the frame's image.
 void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place);
@@ -97,81 +90,15 @@ using Json = nlohmann::json;
 
 constexpr std::uint16_t kNoSegment16 = 65535;
 
-Json read_json(const std::string& path) {
-  try {
-    return Json::parse(read_text_file(path));
-  } catch (const Json::exception& e) {
-    refuse_labels("labels.file.format", path, "not valid JSON: " + json_cause(e.what()), "write the segments again");
-  }
-}
-
 const Json& member(const Json& item, const char* key, const std::string& place) {
   if (!item.is_object() || !item.contains(key))
     refuse_labels("labels.file.format", place, std::string("has no '") + key + "'", "write the segments again");
   return item.at(key);
 }
 
-std::int64_t whole_of(const Json& item, const char* key, const std::string& place) {
-  const Json& value = member(item, key, place);
-  if (!value.is_number_integer())
-    refuse_labels("labels.file.format", place, std::string("needs a whole number '") + key + "'");
-  return value.get<std::int64_t>();
-}
-
-std::string text_of(const Json& item, const char* key, const std::string& place) {
-  const Json& value = member(item, key, place);
-  if (!value.is_string()) refuse_labels("labels.file.format", place, std::string("needs a text '") + key + "'");
-  return value.get<std::string>();
-}
-
-std::vector<std::int64_t> run_counts(const Json& counts, const std::string& place) {
-  if (counts.is_string()) return counts_of_text(counts.get<std::string>());
-  std::vector<std::int64_t> out;
-  if (counts.is_array())
-    for (const Json& count : counts) out.push_back(count.is_number_integer() ? count.get<std::int64_t>() : -1);
-  if (out.empty()) refuse_labels("labels.run_lengths.damaged", place, "run lengths need 'counts', a list or a text");
-  return out;
-}
-
-Outline outline_of_numbers(const Json& part, const std::string& place) {
-  Outline outline;
-  if (part.is_array() && part.size() >= 6 && part.size() % 2 == 0 && part.size() <= 2 * kMaxOutlinePoints) {
-    for (std::size_t i = 0; i < part.size() && part[i].is_number() && part[i + 1].is_number(); i += 2)
-      outline.push_back({part[i].get<double>(), part[i + 1].get<double>()});
-  }
-  const bool inside = std::all_of(outline.begin(), outline.end(), [](const PixelPoint& p) {
-    return std::abs(p.x) <= kMaxCoordinate && std::abs(p.y) <= kMaxCoordinate;
-  });
-  if (outline.empty() || 2 * outline.size() != part.size() || !inside)
-    refuse_labels("labels.shape.points", place,
-                  "a polygon is a list [x, y, x, y, ...] of at least 3 points near the image");
-  return outline;
-}
-
-SegmentMask mask_of(const Json& segmentation, std::int32_t width, std::int32_t height, const std::string& place) {
-  SegmentMask mask;
-  if (segmentation.is_object()) {
-    const Json& size = member(segmentation, "size", place);
-    if (size != Json::array({height, width}))
-      refuse_labels("labels.image.size", place,
-                    "run lengths of size " + size.dump() + " in an image of [" + std::to_string(height) + "," +
-                        std::to_string(width) + "] (height, width)");
-    try {
-      mask.runs = runs_of_counts(run_counts(member(segmentation, "counts", place), place), width, height);
-    } catch (const Error& e) {
-      if (e.message().rfind(place, 0) == 0) throw;
-      refuse_labels(e.code(), place, e.message(), e.remedy());
-    }
-  } else if (segmentation.is_array()) {
-    for (const Json& part : segmentation) {
-      const std::vector<PixelRun> runs = outline_runs(outline_of_numbers(part, place), width, height);
-      mask.runs.insert(mask.runs.end(), runs.begin(), runs.end());
-    }
-  } else {
-    refuse_labels("labels.file.format", place, "'segmentation' is neither run lengths nor polygons");
-  }
-  mask.area = area_of(mask.runs);
-  return mask;
+MaskPixels mask_of(const Json& item, std::int32_t width, std::int32_t height, std::int16_t class_index,
+                   const std::string& place) {
+  return {coco_mask(member(item, "segmentation", place), width, height, place).runs(width, height, place), class_index};
 }
 
 FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
@@ -184,7 +111,7 @@ FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
 
 // Masks of a segmenter of everything.
 FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame) {
-  const Json root = read_json(path);
+  const Json root = read_label_json<Json>(path, "write the segments again");
   const Json& list = root.is_array() ? root : member(root, "annotations", path);
   if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
   std::int64_t width = frame.camera.width_px, height = frame.camera.height_px;
@@ -199,12 +126,11 @@ FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame)
     break;
   }
   check_segment_size(width, height, frame, path);
-  std::vector<SegmentMask> masks;
+  std::vector<MaskPixels> masks;
   std::size_t number = 0;
   for (const Json& item : list) {
     const std::string place = path + ": mask " + std::to_string(++number);
-    masks.push_back(mask_of(member(item, "segmentation", place), static_cast<std::int32_t>(width),
-                            static_cast<std::int32_t>(height), place));
+    masks.push_back(mask_of(item, static_cast<std::int32_t>(width), static_cast<std::int32_t>(height), kVoid, place));
   }
   return painted_segments(std::move(masks), static_cast<std::int32_t>(width), static_cast<std::int32_t>(height));
 }
@@ -277,7 +203,7 @@ class Reading {
   }
 
   void file(const std::string& path) {
-    const Json root = read_json(path);
+    const Json root = read_label_json<Json>(path, "write the segments again");
     const Json& list = member(root, "annotations", path);
     if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
     const std::map<std::int64_t, std::int16_t> classes = classes_of_categories(root, info_.classes, path);
@@ -344,7 +270,7 @@ class Reading {
     struct OfImage {
       std::int32_t width = 0, height = 0;
       FrameSegments* to = nullptr;
-      std::vector<SegmentMask> masks;
+      std::vector<MaskPixels> masks;
     };
     std::map<std::int64_t, OfImage> images;
     std::vector<PictureName> pictures;
@@ -374,9 +300,8 @@ class Reading {
         refuse_labels("labels.annotation.reference", place,
                       "no image has the id " + member(item, "image_id", place).dump());
       if (image->second.to == nullptr) continue;
-      SegmentMask mask = mask_of(member(item, "segmentation", place), image->second.width, image->second.height, place);
-      mask.class_index = class_of(item, classes);
-      image->second.masks.push_back(std::move(mask));
+      image->second.masks.push_back(
+          mask_of(item, image->second.width, image->second.height, class_of(item, classes), place));
     }
     for (auto& [id, image] : images)
       if (image.to != nullptr && !image.masks.empty())
@@ -474,10 +399,7 @@ class ArrayMasks {
     });
     const std::size_t pixels = static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
     for (std::size_t at = 0; at < array.values.size(); at += pixels) {
-      SegmentMask mask;
-      mask.runs = runs_of_pixels(std::span(array.values).subspan(at, pixels), width_);
-      mask.area = area_of(mask.runs);
-      masks_.push_back(std::move(mask));
+      masks_.emplace_back(runs_of_pixels(std::span(array.values).subspan(at, pixels), width_), kVoid);
     }
   }
 
@@ -493,7 +415,7 @@ class ArrayMasks {
         refuse_labels("labels.id.unknown", "'" + path_ + "', entry '" + kClassIds + "'",
                       "mask " + std::to_string(k + 1) + ": " + std::to_string(id) + " is the id of no class",
                       "save ids of the run's classes.yaml, or leave 'class_ids' out");
-      masks_[k].class_index = static_cast<std::int16_t>(index);
+      masks_[k].index = static_cast<std::int16_t>(index);
     }
   }
 
@@ -501,20 +423,19 @@ class ArrayMasks {
   const FrameInfo& frame_;
   NpzFile file_;
   std::int32_t width_ = 0, height_ = 0;
-  std::vector<SegmentMask> masks_;
+  std::vector<MaskPixels> masks_;
 };
 
 }  // namespace
 
-FrameSegments painted_segments(std::vector<SegmentMask> masks, std::int32_t width, std::int32_t height) {
-  std::stable_sort(masks.begin(), masks.end(),
-                   [](const SegmentMask& a, const SegmentMask& b) { return a.area > b.area; });
+FrameSegments painted_segments(std::vector<MaskPixels> masks, std::int32_t width, std::int32_t height) {
+  sort_by_area(masks);
   FrameSegments out{
       width, height, std::vector<std::int32_t>(static_cast<std::size_t>(std::int64_t{width} * height), 0), {}};
   std::int32_t id = 0;
-  for (const SegmentMask& mask : masks) {
+  for (const MaskPixels& mask : masks) {
     ++id;
-    if (mask.class_index != kVoid) out.class_of[id] = mask.class_index;
+    if (mask.index != kVoid) out.class_of[id] = mask.index;
     for (const PixelRun& run : mask.runs)
       std::fill_n(out.id.begin() + std::int64_t{run.y} * width + run.x0, run.x1 - run.x0, id);
   }
@@ -522,15 +443,13 @@ FrameSegments painted_segments(std::vector<SegmentMask> masks, std::int32_t widt
 }
 
 void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place) {
-  try {
+  at_place(place, [&] {
     if (width <= 0 || height <= 0)
       throw Error(ErrorKind::data, "labels.image.size",
                   "an image of " + std::to_string(width) + " x " + std::to_string(height));
     check_image_limits(width, height);
     check_label_shape(width, height, frame.camera);
-  } catch (const Error& e) {
-    refuse_labels(e.code(), place, e.message(), e.remedy());
-  }
+  });
 }
 
 FrameSegments segments_of_arrays(const std::string& path, const FrameInfo& frame, const ClassTable& classes) {

@@ -1,17 +1,14 @@
 // COCO: one JSON file with images, annotations and categories.
 #include <algorithm>
-#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
 
-#include "core/text.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/mask_outlines.h"
+#include "labels/mask_json.h"
 #include "plugin/module.h"
-#include "system/files.h"
 
 namespace semfield {
 
@@ -21,8 +18,7 @@ using Json = nlohmann::json;
 
 struct Annotation {
   std::string place, category;
-  std::vector<Outline> parts;
-  std::vector<std::int64_t> counts;  // run lengths; empty with parts
+  CocoMask mask;
 };
 
 struct CocoImage {
@@ -30,61 +26,6 @@ struct CocoImage {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<Annotation> annotations = {};
 };
-
-std::int64_t whole(const Json& item, const char* key, const std::string& place) {
-  const auto found = item.find(key);
-  if (!item.is_object() || found == item.end() || !found->is_number_integer())
-    refuse_labels("labels.file.format", place, std::string("needs a whole number '") + key + "'");
-  return found->get<std::int64_t>();
-}
-
-std::string text(const Json& item, const char* key, const std::string& place) {
-  const auto found = item.find(key);
-  if (!item.is_object() || found == item.end() || !found->is_string() || found->get<std::string>().empty())
-    refuse_labels("labels.file.format", place, std::string("needs a text '") + key + "'");
-  return found->get<std::string>();
-}
-
-Outline outline_of(const Json& part, const std::string& place) {
-  if (!part.is_array() || part.size() < 6 || part.size() % 2 != 0 || part.size() > 2 * kMaxOutlinePoints)
-    refuse_labels("labels.shape.points", place,
-                  "a polygon is a list [x, y, x, y, ...] of 3 to " + std::to_string(kMaxOutlinePoints) + " points");
-  Outline outline;
-  for (std::size_t i = 0; i < part.size(); i += 2) {
-    if (!part[i].is_number() || !part[i + 1].is_number())
-      refuse_labels("labels.file.format", place, "point " + std::to_string(i / 2 + 1) + " is not a pair of numbers");
-    const PixelPoint p{part[i].get<double>(), part[i + 1].get<double>()};
-    if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
-      refuse_labels("labels.shape.outside", place,
-                    "point " + std::to_string(i / 2 + 1) + " lies more than a million pixels outside");
-    outline.push_back(p);
-  }
-  return outline;
-}
-
-std::vector<std::int64_t> counts_of(const Json& segmentation, const CocoImage& image, const std::string& place) {
-  const auto size = segmentation.find("size");
-  if (size != segmentation.end() && *size != Json::array({image.height_px, image.width_px}))
-    refuse_labels("labels.image.size", place,
-                  "run lengths of size " + size->dump() + ", the image is [" + std::to_string(image.height_px) + "," +
-                      std::to_string(image.width_px) + "] (height, width)");
-  const auto counts = segmentation.find("counts");
-  if (counts == segmentation.end() || (!counts->is_string() && !counts->is_array()))
-    refuse_labels("labels.run_lengths.damaged", place, "run lengths need 'counts', a list or a text");
-  std::vector<std::int64_t> out;
-  if (counts->is_string()) {
-    out = counts_of_text(counts->get<std::string>());
-  } else {
-    for (const Json& count : *counts) {
-      if (!count.is_number_integer())
-        refuse_labels("labels.run_lengths.damaged", place,
-                      "count " + std::to_string(out.size() + 1) + " is not a whole number");
-      out.push_back(count.get<std::int64_t>());
-    }
-  }
-  if (out.empty()) refuse_labels("labels.run_lengths.damaged", place, "run lengths without a count");
-  return out;
-}
 
 class CocoReader : public LabelReader {
  public:
@@ -97,13 +38,7 @@ class CocoReader : public LabelReader {
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     images_.clear();
     image_of_frame_.clear();
-    Json root;
-    try {
-      root = Json::parse(read_text_file(file));
-    } catch (const Json::exception& e) {
-      refuse_labels("labels.file.format", file, "not valid JSON: " + json_cause(e.what()),
-                    "export the annotations again");
-    }
+    const Json root = read_label_json<Json>(file, "export the annotations again");
     for (const char* key : {"images", "annotations", "categories"}) {
       if (!root.is_object() || !root.contains(key) || !root[key].is_array())
         refuse_labels("labels.file.format", file, std::string("no list '") + key + "' in it",
@@ -124,7 +59,7 @@ class CocoReader : public LabelReader {
     for (const Json& item : root["annotations"]) {
       const std::string place = file + ": annotation " + std::to_string(++number);
       problems.collect([&] {
-        const std::int64_t category = whole(item, "category_id", place);
+        const std::int64_t category = whole_of(item, "category_id", place);
         const auto name = categories.find(category);
         if (name == categories.end())
           refuse_labels("labels.annotation.reference", place, "no category has the id " + std::to_string(category));
@@ -164,31 +99,13 @@ class CocoReader : public LabelReader {
     check_label_shape(image->width_px, image->height_px, frame.camera);
     LabelRaster raster = void_raster(image->width_px, image->height_px);
     const ClassNames names(classes);
-    struct Mask {
-      std::vector<PixelRun> runs;
-      std::int64_t area;
-      std::int16_t index;
-    };
-    std::vector<Mask> masks;
+    std::vector<MaskPixels> masks;
     for (const Annotation& annotation : image->annotations) {
-      Mask mask{{}, 0, names.index_of(annotation.category, annotation.place)};
-      if (annotation.parts.empty()) {
-        try {
-          mask.runs = runs_of_counts(annotation.counts, raster.width_px, raster.height_px);
-        } catch (const Error& e) {
-          refuse_labels(e.code(), annotation.place, e.message(), e.remedy());
-        }
-      }
-      for (const Outline& part : annotation.parts) {
-        const std::vector<PixelRun> runs = outline_runs(part, raster.width_px, raster.height_px);
-        mask.runs.insert(mask.runs.end(), runs.begin(), runs.end());
-      }
-      mask.area = area_of(mask.runs);
-      masks.push_back(std::move(mask));
+      const std::int16_t index = names.index_of(annotation.category, annotation.place);
+      masks.emplace_back(annotation.mask.runs(raster.width_px, raster.height_px, annotation.place), index);
     }
-    // What is in front of a large thing is mostly smaller than it: the smaller mask is painted later.
-    std::stable_sort(masks.begin(), masks.end(), [](const Mask& a, const Mask& b) { return a.area > b.area; });
-    for (const Mask& mask : masks) paint(mask.runs, mask.index, raster);
+    sort_by_area(masks);
+    for (const MaskPixels& mask : masks) paint(mask.runs, mask.index, raster);
     return raster;
   }
 
@@ -201,8 +118,8 @@ class CocoReader : public LabelReader {
     for (const Json& item : list) {
       const std::string place = file + ": category " + std::to_string(++number);
       problems.collect([&] {
-        const std::int64_t id = whole(item, "id", place);
-        if (!names.emplace(id, text(item, "name", place)).second)
+        const std::int64_t id = whole_of(item, "id", place);
+        if (!names.emplace(id, text_of(item, "name", place, 1)).second)
           refuse_labels("labels.annotation.twice", place, "id " + std::to_string(id) + " is given twice");
       });
     }
@@ -234,14 +151,10 @@ class CocoReader : public LabelReader {
 
   void read_image(const Json& item, const std::string& place, std::map<std::int64_t, std::size_t>& image_of_id) {
     CocoImage image{.place = place};
-    const std::int64_t id = whole(item, "id", place);
-    image.name = text(item, "file_name", place);
-    const std::int64_t width = whole(item, "width", place), height = whole(item, "height", place);
-    try {
-      check_image_limits(width, height);
-    } catch (const Error& e) {
-      refuse_labels(e.code(), place, e.message(), e.remedy());
-    }
+    const std::int64_t id = whole_of(item, "id", place);
+    image.name = text_of(item, "file_name", place, 1);
+    const std::int64_t width = whole_of(item, "width", place), height = whole_of(item, "height", place);
+    at_place(place, [&] { check_image_limits(width, height); });
     image.width_px = static_cast<std::int32_t>(width);
     image.height_px = static_cast<std::int32_t>(height);
     if (!image_of_id.emplace(id, images_.size()).second)
@@ -252,27 +165,14 @@ class CocoReader : public LabelReader {
   // False for an annotation that is a box alone.
   bool read_annotation(const Json& item, const std::string& place, const std::string& category,
                        const std::map<std::int64_t, std::size_t>& image_of_id) {
-    const std::int64_t id = whole(item, "image_id", place);
+    const std::int64_t id = whole_of(item, "image_id", place);
     const auto found = image_of_id.find(id);
     if (found == image_of_id.end())
       refuse_labels("labels.annotation.reference", place, "no image has the id " + std::to_string(id));
     CocoImage& image = images_[found->second];
     const auto segmentation = item.find("segmentation");
     if (segmentation == item.end() || segmentation->empty()) return false;
-    Annotation annotation{place, category, {}, {}};
-    if (segmentation->is_object()) {
-      try {
-        annotation.counts = counts_of(*segmentation, image, place);
-      } catch (const Error& e) {
-        if (e.message().rfind(place, 0) == 0) throw;
-        refuse_labels(e.code(), place, e.message(), e.remedy());
-      }
-    } else if (segmentation->is_array()) {
-      for (const Json& part : *segmentation) annotation.parts.push_back(outline_of(part, place));
-    } else {
-      refuse_labels("labels.file.format", place, "'segmentation' is neither polygons nor run lengths");
-    }
-    image.annotations.push_back(std::move(annotation));
+    image.annotations.push_back({place, category, coco_mask(*segmentation, image.width_px, image.height_px, place)});
     return true;
   }
 

@@ -5,11 +5,10 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/text.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/mask_outlines.h"
+#include "labels/mask_json.h"
 #include "plugin/module.h"
 #include "system/files.h"
 
@@ -77,10 +76,7 @@ Shape shape_of(const Json& item, std::string place) {
     const std::string which = "point " + std::to_string(shape.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
       refuse_labels("labels.file.format", shape.place, which + " is not a pair of numbers [x, y]");
-    const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
-    if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
-      refuse_labels("labels.shape.outside", shape.place, which + " lies more than a million pixels outside");
-    shape.points.push_back(p);
+    shape.points.push_back(point_near_image(point[0].get<double>(), point[1].get<double>(), which, shape.place));
   }
   const ShapeRule& rule = kShapes[static_cast<std::size_t>(shape.kind)];
   if (const std::size_t count = shape.points.size(); count < rule.least || count > rule.most)
@@ -184,13 +180,7 @@ class LabelmeReader : public LabelReader {
   }
 
   void load(const std::string& path, std::map<std::string, std::string>& place_of_name, Diagnostics& diagnostics) {
-    Json root;
-    try {
-      root = Json::parse(read_text_file(path));
-    } catch (const Json::exception& e) {
-      refuse_labels("labels.file.format", path, "not valid JSON: " + json_cause(e.what()),
-                    "save the file again in labelme");
-    }
+    const Json root = read_label_json<Json>(path, "save the file again in labelme");
     if (!root.is_object() || !root.contains("shapes")) {
       if (fs::path(path).parent_path() == fs::path(folder))
         diagnostics.note("labels.file.foreign", path, "no labelme file (it has no 'shapes'); left out");
@@ -199,11 +189,7 @@ class LabelmeReader : public LabelReader {
     if (!root["shapes"].is_array())
       refuse_labels("labels.file.format", path, "'shapes' is not a list", "save the file again in labelme");
     LabelmeFile file{path, size_of(root, "imageWidth", path), size_of(root, "imageHeight", path)};
-    try {
-      check_image_limits(file.width_px, file.height_px);
-    } catch (const Error& e) {
-      refuse_labels(e.code(), path, e.message(), e.remedy());
-    }
+    at_place(path, [&] { check_image_limits(file.width_px, file.height_px); });
     for (const Json& item : root["shapes"]) {
       file.shapes.push_back(shape_of(item, path + ": shape " + std::to_string(file.shapes.size() + 1)));
       place_of_name.emplace(file.shapes.back().label, file.shapes.back().place);
