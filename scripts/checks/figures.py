@@ -1,19 +1,13 @@
-"""What the first minutes with Semfield promise, and the table of figures of objects."""
-import hashlib
+"""What the first minutes with Semfield promise."""
 import json
 import os
 import pathlib
 import re
 import resource
 import shutil
-import statistics
-import sys
 import time
 
 from . import common
-
-sys.path.insert(1, str(common.ROOT / "cmake"))
-from make_pages import data_rows, table_of  # noqa: E402
 
 PRESETS = ("room", "unbounded", "object")
 
@@ -125,80 +119,3 @@ A training more than 15 % longer or shorter than asked breaks a promise, and an 
             except common.Failed as failed:
                 common.check(False, f"{part}: {failed}")
     return figures
-
-
-ROOMS = ("living", "class", "room")
-EXACT = ("objects.damage.shuffle=true",)
-WORSE = (*EXACT, *(f"objects.damage.{what}" for what in ("split=0.2", "merge=0.2", "missing=0.2", "border_px=2")))
-CASES = {"exact": EXACT, "degraded": WORSE, "assignment": (*EXACT, "objects.method={type: assignment, slots: 160}")}
-
-
-def fingerprint(run):
-    """Of what the run has learned: a figure of its field cannot change while this stays."""
-    total = hashlib.sha256()
-    for file in sorted(file for file in (run / "checkpoints").rglob("*") if file.is_file()):
-        total.update(file.name.encode() + file.read_bytes())
-    return total.hexdigest()
-
-
-def object_tables(folder: "of runs", *, out: "folder of the objects" = pathlib.Path("object_tables"),
-                  seeds: "how many" = 3, only: "rooms" = (*ROOMS, "replica"),
-                  peer: "a PYTHON with PyTorch: runs the peer too" = None,
-                  packed: "FOLDER where ROOM.sfpack are, for --peer" = None,
-                  json_: "FILE of figures, those of earlier calls of this commit and device included" = None,
-                  gpu: "the runs were opened on the GPU (default)" = False,
-                  cpu: "the runs were opened on the CPU" = False, build=common.BUILD):
-    """Objects of rooms whose objects are known, as a table of figures and one line of means.
-
-FOLDER has a trained run for each room, FOLDER/living, FOLDER/class and FOLDER/room, whose scenes hold instances, and
-perhaps FOLDER/replica. Of each: exact segments with shuffled numbers, the same made worse (20 % split, 20 % joined, 20
-% missing, borders moved by 2 pixels), and the method `assignment` on exact ones, for every seed, with 95 % intervals.
-The last line has means over the three rooms and the seeds."""
-    if peer and not packed:
-        raise common.Failed("--peer needs --packed FOLDER")
-    command = f"scripts/release_check object_tables RUNS --{'cpu' if cpu else 'gpu'}"
-    command += " --peer PYTHON --packed FOLDER" if peer else ""
-    source = common.source(command, seeds, next(iter(sorted(folder.glob("*/environment.json"))), None),
-                           "CPU" if cpu else "gpu")
-    kept = pathlib.Path(json_) if json_ else None
-    found = json.loads(kept.read_text()) if kept and kept.exists() else {}
-    rows = found["rows"] if found and all(found[key] == source[key] for key in ("commit", "device")) else {}
-    unchanged = True
-
-    def measure(room, case, seed):
-        if "peer" in case:
-            script = common.ROOT / "studies" / "peers" / "grouping_peer.py"
-            damage = ["--damage"] if case == "degraded_peer" else []
-            return json.loads(common.run(peer, script, pathlib.Path(packed) / f"{room}.sfpack", "--seed", seed, *damage,
-                                         "--device", "cpu" if cpu else "cuda"))
-        settings = (*CASES[case], f"objects.seed={seed}")
-        made = common.ask(build / "bin" / "semfield", "objects", folder / room, "--score",
-                          "--out", out / f"{room}_{case}", *(word for one in settings for word in ("--set", one)))
-        return {**made["score"], "seconds": made["seconds"]["all"]}
-
-    for room in only:
-        if not (folder / room).is_dir():
-            common.say(f"{room}: no run {folder / room}")
-            continue
-        before = fingerprint(folder / room)
-        for case in (*CASES, *(("peer", "degraded_peer") if peer else ())):
-            if room != "replica" or case in ("exact", "peer"):
-                rows[f"{room}/{case}"] = [measure(room, case, seed) for seed in range(1, seeds + 1)]
-                common.say(f"{room} {case}: pq={statistics.mean(one['pq'] for one in rows[f'{room}/{case}']):.3f}")
-        unchanged = unchanged and fingerprint(folder / room) == before
-    if kept:
-        kept.write_text(json.dumps({**source, "rows": rows}, indent=1))
-    if not rows:
-        raise common.Failed(f"{folder}: no run of {', '.join(only)}")
-    print(table_of(data_rows({"rows": rows}), ("pq", "sq", "rq", "mcov", "count_error", "seconds")))
-
-    def mean(case, key, rooms=ROOMS):
-        values = [one[key] for room in rooms for one in rows.get(f"{room}/{case}", [])]
-        return statistics.mean(values) if values else None
-
-    on_device = {"cpu_pq": mean("exact", "pq"), "cpu_seconds": mean("exact", "seconds")} if cpu else {
-        "seconds_gpu": mean("exact", "seconds")}
-    same = {"miou_change": 0, "psnr_change": 0} if unchanged else {}
-    return {**{f"{case}_pq": mean(case, "pq") for case in (*CASES, "peer")}, **on_device, **same,
-            "replica_pq": mean("exact", "pq", ["replica"]), "peer_seconds": mean("peer", "seconds"),
-            "count_error": mean("exact", "count_error")}

@@ -51,20 +51,6 @@ def test_train_and_label(tmp_path: Path) -> None:
     assert len(list((tmp_path / "out" / "pictures").glob("*_label.png"))) == 24
 
 
-def test_labels_to_pointcloud(tmp_path: Path) -> None:
-    said = play(tmp_path, EXAMPLES / "labels_to_pointcloud.py", steps=150)
-    header, _, rows = (tmp_path / "points.ply").read_bytes().partition(b"end_header\n")
-    count = int(header.split(b"element vertex ")[1].split()[0])
-    points = np.frombuffer(rows, [("place", "<f4", 3), ("color", "u1", 3), ("label", "<i4")])
-    assert len(points) == count > 1000
-    assert f"{count} of" in said and "floor" in said
-    low, high = points["place"].min(0), points["place"].max(0)
-    assert np.all(high - low > 1) and np.all(high - low < 20)  # a room in metres
-    assert len(np.unique(points["label"])) > 3
-    for label in np.unique(points["label"]):
-        assert len(np.unique(points["color"][points["label"] == label], axis=0)) == 1
-
-
 def cells(notebook: Path) -> List[Dict[str, Any]]:
     return [c for c in json.loads(notebook.read_text())["cells"] if c["cell_type"] == "code"]
 
