@@ -208,10 +208,10 @@ class Program(ProgramCase):
         start = time.monotonic()
         self.ok(["train", config, "--out", self.dir / "whole"])
         whole_s, orderly, i = time.monotonic() - start, 0, 0
-        while i < 16 or (orderly == 0 and i < 320):
+        while i < 12 or (orderly == 0 and i < 320):
             number = signal.SIGINT if i % 2 else signal.SIGTERM
             process = self.start(*self.train())
-            time.sleep(whole_s * (i % 16) / 16)
+            time.sleep(whole_s * (i % 12) / 12)
             process.send(number)
             result, i = process.wait(HANG_S), i + 1
             if result.code == -number:  # it came before the program's first line

@@ -70,12 +70,11 @@ class Mpirun(ProgramCase):
         for config in (self.room(steps), self.write("two_pass.yaml", TWO_PASSES.replace("STEPS", str(steps)))):
             alone = self.dir / f"{config.stem}_alone"
             self.ok(["train", config, "--out", alone, "--threads", 1])
-            for ranks in (1, 2, 3):
-                for threads in (1, 2):
-                    out = self.dir / f"{config.stem}_{ranks}_ranks_of_{threads}"
-                    trained = self.ok(self.ranks(ranks, "train", config, "--out", out, "--threads", threads))
-                    self.same_bits(out, alone, steps)
-                    self.count(trained.out, "train: ")
+            for ranks, threads in ((1, 2), (2, 1), (3, 2)):
+                out = self.dir / f"{config.stem}_{ranks}_ranks_of_{threads}"
+                trained = self.ok(self.ranks(ranks, "train", config, "--out", out, "--threads", threads))
+                self.same_bits(out, alone, steps)
+                self.count(trained.out, "train: ")
 
     def test_it_evaluates_and_renders_what_one_process_does(self):
         run, one, three = self.dir / "run", self.dir / "one", self.dir / "three"

@@ -37,7 +37,7 @@ class Process(ProgramCase):
         self.room(200, 0.02)
         # Small steps: a thousand kills are about starts, saves and resumes.
         config = self.write("small.yaml", "include: config.yaml\ntrain: {rays: 24}\nruntime: {threads: 1}\n")
-        victim, wanted = self.dir / "victim", max(1, int(os.environ.get("SEMFIELD_TORTURE_KILLS", 50)))
+        victim, wanted = self.dir / "victim", max(1, int(os.environ.get("SEMFIELD_TORTURE_KILLS", 25)))
         start = time.monotonic()
         self.ok(["train", config, "--out", self.dir / "whole"])
         whole_s, whole = time.monotonic() - start, tensors(self.dir / "whole")
