@@ -4,7 +4,7 @@
 #include <string_view>
 
 #include "loading/packed_scene.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 
 int main(int argc, char** argv) {
   using namespace semfield;

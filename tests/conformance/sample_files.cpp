@@ -6,7 +6,7 @@
 
 #include "formats/image_io.h"
 #include "system/files.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 
 namespace semfield::testkit {
 

@@ -13,7 +13,7 @@
 #include "eval/metrics.h"
 #include "scene/classes/class_table.h"
 #include "surface/surface_graph.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/says.h"
 #include "tests/scene/tiny_scene.h"

@@ -16,7 +16,7 @@
 #include "serve/label_session.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 #ifdef SEMFIELD_PAGE

@@ -23,7 +23,7 @@
 #include "surface/mesh/shape/simplify.h"
 #include "surface/mesh/sights.h"
 #include "system/files.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

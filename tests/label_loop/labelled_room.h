@@ -4,7 +4,7 @@
 #include "core/non_copyable.h"
 #include "serve/label_loop.h"
 #include "surface/surface_graph.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield::testing_loop {

@@ -2,7 +2,7 @@
 
 #include "rooms.h"
 
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include "losses/semantic_cross_entropy.h"
 #include "plugins/samplers/importance/importance_kernels.h"
 #include "ray_bench.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 
 namespace semfield::numerics {
 

@@ -9,7 +9,7 @@
 #include <string>
 
 #include "compute/gemm.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
 

@@ -10,7 +10,7 @@
 #include "session/self_training.h"
 #include "session/settings/choices.h"
 #include "system/process.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/session/train_testing.h"
 

@@ -16,7 +16,7 @@
 #include "model/render_rules.h"
 #include "session/assembly.h"
 #include "session/settings/choices.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/session/oracle.h"
 #include "tests/session/step_configs.h"
 

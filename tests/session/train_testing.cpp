@@ -6,7 +6,7 @@
 #include "report/report.h"
 #include "run/run_folder.h"
 #include "system/checksum.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 
 namespace semfield {
 

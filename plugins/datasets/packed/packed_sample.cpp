@@ -2,7 +2,7 @@
 #include <filesystem>
 
 #include "loading/packed_scene.h"
-#include "testkit/analytic_scene.h"
+#include "tests/analytic_scene.h"
 #include "tests/conformance/dataset_samples.h"
 
 namespace semfield::testkit {

@@ -1,15 +1,35 @@
-// The analytic room: a box with two balls and a crate, shaded without a view-dependent part.
-#include "testkit/analytic_scene.h"
+// A small room rendered by formulas: a dataset without files whose truth is exact, for tests of everything downstream.
+// A box with two balls and a crate, shaded without a view-dependent part.
+#pragma once
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <memory>
+
+#include "plugin/dataset.h"
 
 namespace semfield::testkit {
 
-namespace {
+struct AnalyticSceneOptions {
+  int frames = 12;  ///< on a circle, looking across the room; every fourth is a test frame
+  std::int32_t width_px = 48;
+  std::int32_t height_px = 36;
+  bool with_depth = true;
+  bool with_labels = true;
+};
 
-constexpr double kPi = 3.14159265358979323846;
-const Box kRoom{{-2, -1.5, -1}, {2, 1.5, 1}};
+/// What a ray meets in the analytic room. Colour is 0..1 display-referred and does not depend on the viewing direction.
+struct AnalyticHit {
+  double t_m = 0;
+  Vec3d point, normal, color;
+  int label = 0;  ///< internal class index: 0 wall, 1 floor, 2 ceiling, 3 ball, 4 crate
+};
+
+namespace analytic_room {
+
+inline constexpr double kPi = 3.14159265358979323846;
+inline const Box kRoom{{-2, -1.5, -1}, {2, 1.5, 1}};
 
 enum Label : int { kWall, kFloor, kCeiling, kBall, kCrate };
 
@@ -18,13 +38,14 @@ struct Ball {
   double radius;
   Vec3d color;
 };
-const Ball kBalls[] = {{{0.35, 0.3, -0.6}, 0.4, {0.85, 0.2, 0.15}}, {{-0.6, -0.25, -0.7}, 0.3, {0.2, 0.35, 0.85}}};
-const Box kCrateBox{{-0.35, 0.35, -1.0}, {0.05, 0.75, -0.3}};
-const Vec3d kCrateColor{0.8, 0.6, 0.2};
-const Vec3d kLight{0.36, 0.48, 0.8};
+inline const Ball kBalls[] = {{{0.35, 0.3, -0.6}, 0.4, {0.85, 0.2, 0.15}},
+                              {{-0.6, -0.25, -0.7}, 0.3, {0.2, 0.35, 0.85}}};
+inline const Box kCrateBox{{-0.35, 0.35, -1.0}, {0.05, 0.75, -0.3}};
+inline const Vec3d kCrateColor{0.8, 0.6, 0.2};
+inline const Vec3d kLight{0.36, 0.48, 0.8};
 
 // Slab test of an axis-aligned box: entry (from outside) or exit (from inside) and the face's outward axis.
-bool hit_box(const Box& box, Vec3d o, Vec3d d, bool from_inside, double& t, Vec3d& normal) {
+inline bool hit_box(const Box& box, Vec3d o, Vec3d d, bool from_inside, double& t, Vec3d& normal) {
   double t_in = -1e300;
   double t_out = 1e300;
   int axis_in = 0;
@@ -54,7 +75,7 @@ bool hit_box(const Box& box, Vec3d o, Vec3d d, bool from_inside, double& t, Vec3
 }
 
 // |o + t d - c|^2 = r^2, nearer root.
-bool hit_ball(const Ball& ball, Vec3d o, Vec3d d, double& t) {
+inline bool hit_ball(const Ball& ball, Vec3d o, Vec3d d, double& t) {
   const Vec3d q = o - ball.center;
   const double b = dot(q, d);
   const double discriminant = b * b - dot(q, q) + ball.radius * ball.radius;
@@ -63,7 +84,7 @@ bool hit_ball(const Ball& ball, Vec3d o, Vec3d d, double& t) {
   return t > 0;
 }
 
-Vec3d room_color(Vec3d p, Vec3d normal) {
+inline Vec3d room_color(Vec3d p, Vec3d normal) {
   if (normal.z > 0.5) {
     const auto tiles = static_cast<long>(std::floor(2 * p.x)) + static_cast<long>(std::floor(2 * p.y));
     return tiles % 2 == 0 ? Vec3d{0.45, 0.4, 0.35} : Vec3d{0.7, 0.65, 0.6};
@@ -73,9 +94,37 @@ Vec3d room_color(Vec3d p, Vec3d normal) {
 }
 
 // Diffuse with a floor of ambient light, so that every surface keeps its hue.
-Vec3d shaded(Vec3d color, Vec3d normal) { return color * (0.7 + 0.3 * std::abs(dot(normal, kLight))); }
+inline Vec3d shaded(Vec3d color, Vec3d normal) { return color * (0.7 + 0.3 * std::abs(dot(normal, kLight))); }
 
-std::uint8_t to_byte(double value) { return static_cast<std::uint8_t>(std::lround(255 * std::clamp(value, 0.0, 1.0))); }
+inline std::uint8_t to_byte(double value) {
+  return static_cast<std::uint8_t>(std::lround(255 * std::clamp(value, 0.0, 1.0)));
+}
+
+}  // namespace analytic_room
+
+/// First surface along a ray that starts inside the room (4 m x 3 m x 2 m around the origin, z up).
+inline AnalyticHit intersect_analytic_room(Vec3d origin, Vec3d unit_direction) {
+  using namespace analytic_room;
+  AnalyticHit hit;
+  hit_box(kRoom, origin, unit_direction, true, hit.t_m, hit.normal);
+  hit.point = origin + unit_direction * hit.t_m;
+  hit.label = hit.normal.z > 0.5 ? kFloor : hit.normal.z < -0.5 ? kCeiling : kWall;
+  hit.color = room_color(hit.point, hit.normal);
+  double t = 0;
+  for (const Ball& ball : kBalls) {
+    if (!hit_ball(ball, origin, unit_direction, t) || t >= hit.t_m) continue;
+    const Vec3d point = origin + unit_direction * t;
+    hit = {t, point, (point - ball.center) * (1 / ball.radius), ball.color, kBall};
+  }
+  Vec3d normal;
+  if (hit_box(kCrateBox, origin, unit_direction, false, t, normal) && t < hit.t_m) {
+    hit = {t, origin + unit_direction * t, normal, kCrateColor, kCrate};
+  }
+  hit.color = shaded(hit.color, hit.normal);
+  return hit;
+}
+
+namespace analytic_room {
 
 class AnalyticScene final : public Dataset {
  public:
@@ -149,30 +198,12 @@ class AnalyticScene final : public Dataset {
   SceneInfo scene_;
 };
 
-}  // namespace
+}  // namespace analytic_room
 
-AnalyticHit intersect_analytic_room(Vec3d origin, Vec3d unit_direction) {
-  AnalyticHit hit;
-  hit_box(kRoom, origin, unit_direction, true, hit.t_m, hit.normal);
-  hit.point = origin + unit_direction * hit.t_m;
-  hit.label = hit.normal.z > 0.5 ? kFloor : hit.normal.z < -0.5 ? kCeiling : kWall;
-  hit.color = room_color(hit.point, hit.normal);
-  double t = 0;
-  for (const Ball& ball : kBalls) {
-    if (!hit_ball(ball, origin, unit_direction, t) || t >= hit.t_m) continue;
-    const Vec3d point = origin + unit_direction * t;
-    hit = {t, point, (point - ball.center) * (1 / ball.radius), ball.color, kBall};
-  }
-  Vec3d normal;
-  if (hit_box(kCrateBox, origin, unit_direction, false, t, normal) && t < hit.t_m) {
-    hit = {t, origin + unit_direction * t, normal, kCrateColor, kCrate};
-  }
-  hit.color = shaded(hit.color, hit.normal);
-  return hit;
-}
-
-std::unique_ptr<Dataset> make_analytic_scene(const AnalyticSceneOptions& options) {
-  return std::make_unique<AnalyticScene>(options);
+/// Frames 48 x 36 by default with colour, z-depth in metres and labels; ids 1..5 are the classes above and id 0 is
+/// void. read() renders.
+inline std::unique_ptr<Dataset> make_analytic_scene(const AnalyticSceneOptions& options = {}) {
+  return std::make_unique<analytic_room::AnalyticScene>(options);
 }
 
 }  // namespace semfield::testkit
