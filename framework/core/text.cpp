@@ -47,27 +47,20 @@ std::string nearest(std::string_view word, const std::vector<std::string>& known
 
 // Canonical decompositions: a table, and Hangul by its rule.
 
-// Letters under one mark, and what they are composed to [Unicode, UnicodeData.txt, field 5]; 0: another character
-// alone. Letters may be composed themselves. Escaped: what other tools may rewrite, and what runs from right to left.
+// Letters under one mark, and what they are composed to [Unicode, UnicodeData.txt, field 5]: Latin, Greek of today,
+// Cyrillic, kana. Letters may be composed themselves. Escaped: what other tools may rewrite.
 struct Mark {
   char16_t mark;
   std::u16string_view letters, composed;
 };
 constexpr Mark kMarks[] = {
-    {0x0, u"\u0300\u0301\u0313ʹ;\u00B7άέήίόύώΆιΈΉΐΊΰΎ΅`ΌΏ´\u2002\u2003ΩKÅ\u3008\u3009",
-     u"\u0340\u0341\u0343\u0374\u037E\u0387\u1F71\u1F73\u1F75\u1F77\u1F79\u1F7B\u1F7D\u1FBB\u1FBE\u1FC9\u1FCB"
-     u"\u1FD3\u1FDB\u1FE3\u1FEB\u1FEE\u1FEF\u1FF9\u1FFB\u1FFD\u2000\u2001\u2126\u212A\u212B\u2329\u232A"},
-    {0x300, u"AEIOUaeiouÜüNnЕИеиĒēŌōWwÂâĂăÊêÔôƠơƯưYyἀἁἈἉἐἑἘἙἠἡἨἩἰἱἸἹὀὁὈὉὐὑὙὠὡὨὩαεηιουωΑΕΗ᾿ϊΙ῾ϋΥ¨ΟΩ",
-     u"ÀÈÌÒÙàèìòùǛǜǸǹЀЍѐѝḔḕṐṑẀẁẦầẰằỀềỒồỜờỪừỲỳἂἃἊἋἒἓἚἛἢἣἪἫἲἳἺἻὂὃὊὋὒὓὛὢὣὪὫὰὲὴὶὸὺὼᾺῈῊ῍ῒῚ῝ῢῪ῭ῸῺ"},
-    {0x301,
-     u"AEIOUYaeiouyCcLlNnRrSsZzÜüGgÅåÆæØø\u0308¨ΑΕΗΙΟΥΩϊαεηιϋουωϒГКгкÇçĒēÏïKkMmÕõŌōPpŨũWwÂâĂăÊêÔôƠơƯưἀἁἈἉἐἑἘἙἠἡ"
-     u"ἨἩἰἱἸἹὀὁὈὉὐὑὙὠὡὨὩ᾿῾",
-     u"ÁÉÍÓÚÝáéíóúýĆćĹĺŃńŔŕŚśŹźǗǘǴǵǺǻǼǽǾǿ\u0344΅ΆΈΉΊΌΎΏΐάέήίΰόύώϓЃЌѓќḈḉḖḗḮḯḰḱḾḿṌṍṒṓṔṕṸṹẂẃẤấẮắẾếỐốỚớỨứἄἅἌἍἔἕἜἝἤἥ"
-     u"ἬἭἴἵἼἽὄὅὌὍὔὕὝὤὥὬὭ῎῞"},
+    {0x300, u"AEIOUaeiouÜüNnЕИеиĒēŌōWwÂâĂăÊêÔôƠơƯưYy", u"ÀÈÌÒÙàèìòùǛǜǸǹЀЍѐѝḔḕṐṑẀẁẦầẰằỀềỒồỜờỪừỲỳ"},
+    {0x301, u"AEIOUYaeiouyCcLlNnRrSsZzÜüGgÅåÆæØø\u0308¨ΑΕΗΙΟΥΩϊαεηιϋουωϒГКгкÇçĒēÏïKkMmÕõŌōPpŨũWwÂâĂăÊêÔôƠơƯư",
+     u"ÁÉÍÓÚÝáéíóúýĆćĹĺŃńŔŕŚśŹźǗǘǴǵǺǻǼǽǾǿ\u0344΅ΆΈΉΊΌΎΏΐάέήίΰόύώϓЃЌѓќḈḉḖḗḮḯḰḱḾḿṌṍṒṓṔṕṸṹẂẃẤấẮắẾếỐốỚớỨứ"},
     {0x302, u"AEIOUaeiouCcGgHhJjSsWwYyZzẠạẸẹỌọ", u"ÂÊÎÔÛâêîôûĈĉĜĝĤĥĴĵŜŝŴŵŶŷẐẑẬậỆệỘộ"},
     {0x303, u"ANOanoIiUuVvÂâĂăEeÊêÔôƠơƯưYy", u"ÃÑÕãñõĨĩŨũṼṽẪẫẴẵẼẽỄễỖỗỠỡỮữỸỹ"},
-    {0x304, u"AaEeIiOoUuÜüÄäȦȧÆæǪǫÖöÕõȮȯYyИиУуGgḶḷṚṛαΑιΙυΥ", u"ĀāĒēĪīŌōŪūǕǖǞǟǠǡǢǣǬǭȪȫȬȭȰȱȲȳӢӣӮӯḠḡḸḹṜṝᾱᾹῑῙῡῩ"},
-    {0x306, u"AaEeGgIiOoUuУИиуЖжАаЕеȨȩẠạαΑιΙυΥ", u"ĂăĔĕĞğĬĭŎŏŬŭЎЙйўӁӂӐӑӖӗḜḝẶặᾰᾸῐῘῠῨ"},
+    {0x304, u"AaEeIiOoUuÜüÄäȦȧÆæǪǫÖöÕõȮȯYyИиУуGgḶḷṚṛ", u"ĀāĒēĪīŌōŪūǕǖǞǟǠǡǢǣǬǭȪȫȬȭȰȱȲȳӢӣӮӯḠḡḸḹṜṝ"},
+    {0x306, u"AaEeGgIiOoUuУИиуЖжАаЕеȨȩẠạ", u"ĂăĔĕĞğĬĭŎŏŬŭЎЙйўӁӂӐӑӖӗḜḝẶặ"},
     {0x307, u"CcEeGgIZzAaOoBbDdFfHhMmNnPpRrSsŚśŠšṢṣTtWwXxYyſ", u"ĊċĖėĠġİŻżȦȧȮȯḂḃḊḋḞḟḢḣṀṁṄṅṖṗṘṙṠṡṤṥṦṧṨṩṪṫẆẇẊẋẎẏẛ"},
     {0x308, u"AEIOUaeiouyYΙΥιυϒЕІеіАаӘәЖжЗзИиОоӨөЭэУуЧчЫыHhÕõŪūWwXxt",
      u"ÄËÏÖÜäëïöüÿŸΪΫϊϋϔЁЇёїӒӓӚӛӜӝӞӟӤӥӦӧӪӫӬӭӰӱӴӵӸӹḦḧṎṏṺṻẄẅẌẍẗ"},
@@ -77,65 +70,23 @@ constexpr Mark kMarks[] = {
     {0x30C, u"CcDdEeLlNnRrSsTtZzAaIiOoUuÜüGgKkƷʒjHh", u"ČčĎďĚěĽľŇňŘřŠšŤťŽžǍǎǏǐǑǒǓǔǙǚǦǧǨǩǮǯǰȞȟ"},
     {0x30F, u"AaEeIiOoRrUuѴѵ", u"ȀȁȄȅȈȉȌȍȐȑȔȕѶѷ"},
     {0x311, u"AaEeIiOoRrUu", u"ȂȃȆȇȊȋȎȏȒȓȖȗ"},
-    {0x313, u"αΑεΕηΗιΙοΟυωΩρ", u"ἀἈἐἘἠἨἰἸὀὈὐὠὨῤ"},
-    {0x314, u"αΑεΕηΗιΙοΟυΥωΩρΡ", u"ἁἉἑἙἡἩἱἹὁὉὑὙὡὩῥῬ"},
     {0x31B, u"OoUu", u"ƠơƯư"},
     {0x323, u"BbDdHhKkLlMmNnRrSsTtVvWwZzAaEeIiOoƠơUuƯưYy", u"ḄḅḌḍḤḥḲḳḶḷṂṃṆṇṚṛṢṣṬṭṾṿẈẉẒẓẠạẸẹỊịỌọỢợỤụỰựỴỵ"},
+    {0x324, u"Uu", u"Ṳṳ"},
+    {0x325, u"Aa", u"Ḁḁ"},
     {0x326, u"SsTt", u"ȘșȚț"},
     {0x327, u"CcGgKkLlNnRrSsTtEeDdHh", u"ÇçĢģĶķĻļŅņŖŗŞşŢţȨȩḐḑḨḩ"},
     {0x328, u"AaEeIiUuOo", u"ĄąĘęĮįŲųǪǫ"},
     {0x32D, u"DdEeLlNnTtUu", u"ḒḓḘḙḼḽṊṋṰṱṶṷ"},
+    {0x32E, u"Hh", u"Ḫḫ"},
     {0x330, u"EeIiUu", u"ḚḛḬḭṴṵ"},
     {0x331, u"BbDdKkLlNnRrTtZzh", u"ḆḇḎḏḴḵḺḻṈṉṞṟṮṯẔẕẖ"},
-    {0x338, u"←→↔\u21D0⇔⇒∃∈∋∣∥∼≃≅≈=≡≍<>≤≥≲≳≶≷≺≻⊂⊃⊆⊇⊢⊨⊩⊫≼≽⊑⊒⊲⊳⊴⊵⫝",
-     u"↚↛↮\u21CD⇎⇏∄∉∌∤∦≁≄≇≉≠≢≭≮≯≰≱≴≵≸≹⊀⊁⊄⊅⊈⊉⊬⊭⊮⊯⋠⋡⋢⋣⋪⋫⋬⋭\u2ADC"},
-    {0x342, u"ἀἁἈἉἠἡἨἩἰἱἸἹὐὑὙὠὡὨὩα¨η᾿ιϊ῾υϋω", u"ἆἇἎἏἦἧἮἯἶἷἾἿὖὗὟὦὧὮὯᾶ῁ῆ῏ῖῗ῟ῦῧῶ"},
-    {0x345, u"ἀἁἂἃἄἅἆἇἈἉἊἋἌἍἎἏἠἡἢἣἤἥἦἧἨἩἪἫἬἭἮἯὠὡὢὣὤὥὦὧὨὩὪὫὬὭὮὯὰαάᾶΑὴηήῆΗὼωώῶΩ",
-     u"ᾀᾁᾂᾃᾄᾅᾆᾇᾈᾉᾊᾋᾌᾍᾎᾏᾐᾑᾒᾓᾔᾕᾖᾗᾘᾙᾚᾛᾜᾝᾞᾟᾠᾡᾢᾣᾤᾥᾦᾧᾨᾩᾪᾫᾬᾭᾮᾯᾲᾳᾴᾷᾼῂῃῄῇῌῲῳῴῷῼ"},
-    {0x5BC,
-     u"\u05D0\u05D1\u05D2\u05D3\u05D4\u05D5\u05D6\u05D8\u05D9\u05DA\u05DB\u05DC\u05DE\u05E0\u05E1\u05E3\u05E4"
-     u"\u05E6\u05E7\u05E8\u05E9\u05EA",
-     u"\uFB30\uFB31\uFB32\uFB33\uFB34\uFB35\uFB36\uFB38\uFB39\uFB3A\uFB3B\uFB3C\uFB3E\uFB40\uFB41\uFB43\uFB44"
-     u"\uFB46\uFB47\uFB48\uFB49\uFB4A"},
-    {0x654, u"\u0627\u0648\u064A\u06D5\u06C1\u06D2", u"\u0623\u0624\u0626\u06C0\u06C2\u06D3"},
-    {0x93C, u"नरळकखगजडढफय", u"ऩऱऴ\u0958\u0959\u095A\u095B\u095C\u095D\u095E\u095F"},
-    {0xA3C, u"ਲਸਖਗਜਫ", u"\u0A33\u0A36\u0A59\u0A5A\u0A5B\u0A5E"},
-    {0xFB7, u"གཌདབཛ\u0F92\u0F9C\u0FA1\u0FA6\u0FAB", u"\u0F43\u0F4D\u0F52\u0F57\u0F5C\u0F93\u0F9D\u0FA2\u0FA7\u0FAC"},
-    {0x1B35, u"ᬅᬇᬉᬋᬍᬑ\u1B3A\u1B3C\u1B3E\u1B3F\u1B42", u"ᬆᬈᬊᬌᬎᬒ\u1B3B\u1B3D\u1B40\u1B41\u1B43"},
     {0x3099, u"かきくけこさしすせそたちつてとはひふへほうゝカキクケコサシスセソタチツテトハヒフヘホウワヰヱヲヽ",
      u"がぎぐげござじずぜぞだぢづでどばびぶべぼゔゞガギグゲゴザジズゼゾダヂヅデドバビブベボヴヷヸヹヺヾ"},
     {0x309A, u"はひふへほハヒフヘホ", u"ぱぴぷぺぽパピプペポ"},
 };
-struct Parts {
-  char16_t composed, letter, mark;
-};
-constexpr Parts kRareMarks[] = {
-    {0x622, 0x627, 0x653},    {0x625, 0x627, 0x655},  {0x9CB, 0x9C7, 0x9BE},  {0x9CC, 0x9C7, 0x9D7},
-    {0x9DC, 0x9A1, 0x9BC},    {0x9DD, 0x9A2, 0x9BC},  {0x9DF, 0x9AF, 0x9BC},  {0xB48, 0xB47, 0xB56},
-    {0xB4B, 0xB47, 0xB3E},    {0xB4C, 0xB47, 0xB57},  {0xB5C, 0xB21, 0xB3C},  {0xB5D, 0xB22, 0xB3C},
-    {0xB94, 0xB92, 0xBD7},    {0xBCA, 0xBC6, 0xBBE},  {0xBCB, 0xBC7, 0xBBE},  {0xBCC, 0xBC6, 0xBD7},
-    {0xC48, 0xC46, 0xC56},    {0xCC0, 0xCBF, 0xCD5},  {0xCC7, 0xCC6, 0xCD5},  {0xCC8, 0xCC6, 0xCD6},
-    {0xCCA, 0xCC6, 0xCC2},    {0xCCB, 0xCCA, 0xCD5},  {0xD4A, 0xD46, 0xD3E},  {0xD4B, 0xD47, 0xD3E},
-    {0xD4C, 0xD46, 0xD57},    {0xDDA, 0xDD9, 0xDCA},  {0xDDC, 0xDD9, 0xDCF},  {0xDDD, 0xDDC, 0xDCA},
-    {0xDDE, 0xDD9, 0xDDF},    {0xF69, 0xF40, 0xFB5},  {0xF73, 0xF71, 0xF72},  {0xF75, 0xF71, 0xF74},
-    {0xF76, 0xFB2, 0xF80},    {0xF78, 0xFB3, 0xF80},  {0xF81, 0xF71, 0xF80},  {0xFB9, 0xF90, 0xFB5},
-    {0x1026, 0x1025, 0x102E}, {0x1E00, 0x41, 0x325},  {0x1E01, 0x61, 0x325},  {0x1E2A, 0x48, 0x32E},
-    {0x1E2B, 0x68, 0x32E},    {0x1E72, 0x55, 0x324},  {0x1E73, 0x75, 0x324},  {0xFB1D, 0x5D9, 0x5B4},
-    {0xFB1F, 0x5F2, 0x5B7},   {0xFB2A, 0x5E9, 0x5C1}, {0xFB2B, 0x5E9, 0x5C2}, {0xFB2C, 0xFB49, 0x5C1},
-    {0xFB2D, 0xFB49, 0x5C2},  {0xFB2E, 0x5D0, 0x5B7}, {0xFB2F, 0x5D0, 0x5B8}, {0xFB4B, 0x5D5, 0x5B9},
-    {0xFB4C, 0x5D1, 0x5BF},   {0xFB4D, 0x5DB, 0x5BF}, {0xFB4E, 0x5E4, 0x5BF},
-};
 static_assert(std::all_of(std::begin(kMarks), std::end(kMarks),
                           [](const Mark& m) { return m.letters.size() == m.composed.size(); }));
-
-Parts parts_of(char16_t c) {
-  for (const Mark& m : kMarks) {
-    if (const std::size_t at = m.composed.find(c); at != std::u16string_view::npos) return {c, m.letters[at], m.mark};
-  }
-  for (const Parts& parts : kRareMarks)
-    if (parts.composed == c) return parts;
-  return {c, 0, 0};
-}
 
 std::uint32_t character_at(std::string_view text, std::size_t length) {
   const auto byte = [&](std::size_t i) { return static_cast<std::uint32_t>(static_cast<unsigned char>(text[i])); };
@@ -166,10 +117,13 @@ void append_parts(std::uint32_t c, std::string& out) {
     if (s % kTails != 0) append_utf8(0x11A7 + s % kTails, out);
     return;
   }
-  const Parts parts = parts_of(static_cast<char16_t>(c));
-  if (parts.letter == 0) return append_utf8(c, out);
-  append_parts(parts.letter, out);
-  if (parts.mark != 0) append_parts(parts.mark, out);
+  for (const Mark& m : kMarks) {
+    const std::size_t at = m.composed.find(static_cast<char16_t>(c));
+    if (at == std::u16string_view::npos) continue;
+    append_parts(m.letters[at], out);
+    return append_parts(m.mark, out);
+  }
+  append_utf8(c, out);
 }
 
 }  // namespace

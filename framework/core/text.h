@@ -49,8 +49,8 @@ std::string closest_spelling(std::string_view word, const std::vector<std::strin
 // Names that look alike: one character, or a letter and its marks.
 
 /// The text with its composed characters taken apart [Unicode, NFD]: two names that look the same, of which macOS wrote
-/// one and another system the other, are equal so. Of the Basic Multilingual Plane without compatibility ideographs;
-/// marks keep the order in which they stand, and bytes that are no UTF-8 stay as they are.
+/// one and another system the other, are equal so. Of Latin, today's Greek, Cyrillic, kana and Hangul; marks keep the
+/// order in which they stand, and bytes that are no UTF-8 stay as they are.
 std::string decomposed(std::string_view text);
 
 }  // namespace semfield
