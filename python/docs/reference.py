@@ -12,7 +12,7 @@ import semfield as sf
 GROUPS: List[Tuple[str, List[str]]] = [
     ("Runs", ["open", "resume", "load", "train", "resolved", "Run", "Training", "Labels"]),
     ("What calls give back", ["Step", "View", "Points", "Score", "Outcome", "Objects", "Object"]),
-    ("Scenes", ["Scene", "Camera", "Frame", "ClassEntry", "prepare", "Prepared"]),
+    ("Scenes", ["Scene", "Camera", "Frame", "ClassEntry"]),
     ("Plugins", ["encoder", "head", "loss", "dataset", "param", "Tensor", "Encoder", "Head", "Loss", "Dataset", "load_plugin", "plugins"]),
     ("The program", ["command"]),
     ("Errors", ["Error", "Finding", "UsageError", "ConfigError", "DataError", "InputError", "UnavailableError", "WriteError",

@@ -73,57 +73,6 @@ def command(*words: Any, json_output: bool = False) -> Any:
     return json.loads(out) if json_output else out
 
 
-def _options(words: List[Any], **options: Any) -> List[Any]:
-    """`words`, and an option by its name for each value that is not None."""
-    return words + [word for name, value in options.items() if value is not None for word in (f"--{name}", value)]
-
-
-@dataclasses.dataclass(frozen=True)
-class Prepared:
-    """A scene that `prepare` made: `sf.open` takes {"scene": prepared.config()}.
-
-    Attributes:
-        folder: of the scene.
-        photographs: how many there are, or how many frames of a video were kept.
-        registered: how many of them have a pose.
-        error_px: mean reprojection error, pixels.
-        points: that tell where the scene is.
-        attempts: that finding the poses took.
-        missing: a sentence for each run of photographs without a pose, with what to do.
-    """
-
-    folder: str
-    photographs: int
-    registered: int
-    error_px: float
-    points: int
-    attempts: int
-    missing: Tuple[str, ...]
-
-    def config(self) -> dict[str, Any]:
-        """The section `scene` of a configuration that reads this scene."""
-        return {"type": "colmap", "root": os.path.abspath(self.folder)}
-
-
-def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 0, threads: Optional[int] = None, lens: str = "auto") -> Prepared:
-    """Makes a scene of a video or of photographs: finds their camera poses with COLMAP. One that was stopped continues.
-
-    Args:
-        source: a video, or a folder of photographs; it is never written to.
-        out: the scene's folder.
-        frames: of a video, at most; 0: three a second, 30 to 300.
-        attempts: to give every photograph a pose, at most 4. 0: 4, or as many as a finished scene was given.
-        threads: of COLMAP; None: every core.
-        lens: "auto" or "fisheye".
-
-    Raises:
-        CommandError: a program is missing or failed, the source cannot be used, or no poses were found.
-    """
-    told = command(*_options(["prepare", source, "--quiet"], out=out, frames=frames, attempts=attempts, lens=lens, threads=threads), json_output=True)
-    return Prepared(**{f.name: told[f.name] for f in dataclasses.fields(Prepared) if f.name != "missing"},
-                    missing=tuple(told["missing"]))
-
-
 @dataclasses.dataclass(frozen=True)
 class Object:
     """One thing of the scene. Lengths and areas are in the unit of the input, metres in a metric scene.
@@ -190,7 +139,9 @@ def _object(row: Dict[str, Any]) -> Object:
 
 def find_objects(run_dir: PathLike, segments: Optional[PathLike], set: Optional[Mapping[str, Any]],  # noqa: A002 - as in open()
                  out: Optional[PathLike], score: bool) -> Objects:
-    words = _options(["objects", run_dir, "--quiet"], segments=segments, out=out)
+    words: List[Any] = ["objects", run_dir, "--quiet"]
+    for option, given in (("--segments", segments), ("--out", out)):
+        words += [] if given is None else [option, given]
     if score:
         words.append("--score")
     for key, value in (set or {}).items():

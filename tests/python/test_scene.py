@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import NETWORK, WALLS, box_arrays, config_of, program_that, trained
+from conftest import NETWORK, WALLS, box_arrays, config_of, trained
 
 
 def changed(**more: Any) -> Dict[str, Any]:
@@ -245,26 +245,7 @@ def test_a_scene_that_cannot_be_written(tmp_path: Path) -> None:
         pickle.dumps(sf.Scene(**box_arrays()))
 
 
-# prepare() runs the program; masks and wide lenses of scenes that are made of arrays.
-def test_prepare_hands_over_what_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told = {"photographs": 12, "registered": 11, "error_px": 0.5, "points": 900, "attempts": 1,
-            "missing": ["photograph 3 (c.jpg) is blurred: take it again"], "folder": "room"}
-    words = program_that(tmp_path, f"echo '{json.dumps(told)}'", monkeypatch)
-    found = sf.prepare(tmp_path / "photos", out="room", threads=2)
-    asked = words.read_text()
-    assert asked.startswith(f"prepare\n{tmp_path / 'photos'}\n") and "--json" in asked
-    assert "--out\nroom\n" in asked and "--threads\n2\n" in asked
-    assert (found.registered, found.photographs, found.missing) == (11, 12, (told["missing"][0],))
-    assert found.config()["type"] == "colmap" and found.config()["root"].endswith("/room")
-
-
-def test_prepare_says_what_the_program_says(tmp_path: Path) -> None:
-    with pytest.raises(sf.CommandError) as said:
-        sf.prepare(tmp_path / "nothing", out=tmp_path / "room")
-    assert said.value.exit_code != 0 and "nothing" in str(said.value)
-    assert not (tmp_path / "room").exists()
-
-
+# Masks and wide lenses of scenes that are made of arrays.
 def test_what_a_mask_hides_changes_no_parameter(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     images = [random.integers(0, 255, (12, 16, 3), dtype=np.uint8) for _ in range(3)]
