@@ -424,7 +424,6 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
 namespace {
 
 constexpr double kPi = 3.141592653589793;
-constexpr double kMostDepth_mm = 65534;  // readers take 65535 for "no depth"
 
 bool same_camera(const Camera& a, const Camera& b) {
   return a.width_px == b.width_px && a.height_px == b.height_px && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx &&
@@ -460,34 +459,19 @@ std::vector<std::uint16_t> instance_ids(const FrameInfo& info, const FrameBuffer
   return ids;
 }
 
-void write_ids(const std::string& path, std::int32_t width, std::int32_t height,
-               const std::vector<std::uint16_t>& values) {
-  const auto most = std::max_element(values.begin(), values.end());
-  if (most != values.end() && *most > 255) return write_png_gray16(path, width, height, values);
-  write_png_gray8(path, width, height, std::vector<std::uint8_t>(values.begin(), values.end()));
-}
-
 void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTable& classes, const fs::path& folder,
-                 std::size_t index, CaptureReport& report) {
-  const std::int32_t w = frame.width_px, h = frame.height_px;
-  write_png_rgb(numbered(folder, "rgb", index), w, h, frame.rgb);
-  std::vector<std::uint16_t> values(static_cast<std::size_t>(w) * static_cast<std::size_t>(h));
-  if (info.has_depth) {
-    for (std::size_t i = 0; i < values.size(); ++i) {
-      const double mm = std::round(static_cast<double>(frame.depth_m[i]) * 1000);
-      const bool fits = frame.depth_m[i] == 0 || (mm >= 1 && mm <= kMostDepth_mm);
-      if (!fits) ++report.depth_clipped;
-      values[i] = fits ? static_cast<std::uint16_t>(mm) : std::uint16_t{0};
-    }
-    write_png_gray16(numbered(folder, "depth", index), w, h, values);
-  }
-  if (info.has_labels) {
-    for (std::size_t i = 0; i < values.size(); ++i)
-      values[i] = static_cast<std::uint16_t>(classes.id_of(frame.label[i]));
-    write_ids(numbered(folder, "semantic_class", index), w, h, values);
-  }
-  if (info.has_instances) {
-    write_ids(numbered(folder, "semantic_instance", index), w, h, instance_ids(info, frame));
+                 std::size_t index) {
+  const MapSize size{frame.width_px, frame.height_px};
+  write_png_rgb(numbered(folder, "rgb", index), size.width_px, size.height_px, frame.rgb);
+  if (info.has_depth) write_depth(numbered(folder, "depth", index), size, frame.depth_m, 1e-3);
+  if (info.has_labels) write_label_ids(numbered(folder, "semantic_class", index), size, frame.label, classes);
+  if (!info.has_instances) return;
+  const std::string path = numbered(folder, "semantic_instance", index);
+  const std::vector<std::uint16_t> ids = instance_ids(info, frame);
+  if (std::any_of(ids.begin(), ids.end(), [](std::uint16_t id) { return id > 255; })) {
+    write_png_gray16(path, size.width_px, size.height_px, ids);
+  } else {
+    write_png_gray8(path, size.width_px, size.height_px, std::vector<std::uint8_t>(ids.begin(), ids.end()));
   }
 }
 
@@ -499,9 +483,9 @@ std::string class_order_json(const ClassTable& classes) {
   return json_text(names, 1) + "\n";
 }
 
-CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, const std::string& out_dir,
-                              const std::function<void(int done, int total)>& progress,
-                              const PoseConvention& convention) {
+PackSummary capture_replica(const Dataset& dataset, const SceneInfo& info, const std::string& out_dir,
+                            const std::function<void(int done, int total)>& progress,
+                            const PoseConvention& convention) {
   if (info.frames.empty()) throw Error(ErrorKind::data, "scene.frames.none", "the scene has no frames");
   check_cameras(info);
   const fs::path folder(out_dir);
@@ -518,14 +502,14 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
     }
     create_output_folder(folder / name);
   }
-  CaptureReport report;
+  PackSummary report;
   FrameBuffer frame;
   const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes.entries());
   std::string trajectory;
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
     dataset.read(static_cast<int>(i), frame);
     convert_depth(frame, convention);
-    write_frame(info.frames[i], frame, classes, folder, i, report);
+    write_frame(info.frames[i], frame, classes, folder, i);
     const Pose& p = info.frames[i].world_from_camera;
     for (int row = 0; row < 3; ++row) {
       const auto& r = p.r[static_cast<std::size_t>(row)];
@@ -544,7 +528,7 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
   // Last, because its presence says that the scene is complete.
   write_file_atomic((folder / "traj_w_c.txt").string(), trajectory);
   for (const auto& entry : fs::recursive_directory_iterator(folder)) {
-    if (entry.is_regular_file()) report.bytes += static_cast<std::int64_t>(entry.file_size());
+    if (entry.is_regular_file()) report.bytes += entry.file_size();
   }
   return report;
 }

@@ -509,8 +509,7 @@ struct DegradeOptions : WriteOptions {
   const std::string& out = required("--out FOLDER", "folder to create");
 };
 
-int write_replica(const PackVerbOptions& options, AppContext& context) {
-  OpenedDataset opened = dataset_of(options.config, options.set, context);
+PackSummary write_replica(const PackVerbOptions& options, OpenedDataset& opened, AppContext& context) {
   Diagnostics diagnostics;
   SceneInfo info = opened.dataset->open(diagnostics);
   convert_info(info, opened.config.load.convention);
@@ -518,26 +517,27 @@ int write_replica(const PackVerbOptions& options, AppContext& context) {
     if (finding.severity != Severity::error) print_note(context, finding.shown());
   }
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
-  CaptureReport report;
-  {
-    ProgressLine progress(context, "written");
-    report = capture_replica(
-        *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
-        opened.config.load.convention);
-  }
-  print_results(context, {{"frames", report.frames}, {"bytes", report.bytes}, {"folder", options.out}},
-                fmt::format("pack: frames={} bytes={} folder={}", report.frames, report.bytes, options.out));
-  return 0;
+  ProgressLine progress(context, "written");
+  return capture_replica(
+      *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
+      opened.config.load.convention);
 }
 
-int pack(const PackVerbOptions& options, AppContext& context) {
-  if (options.format == "replica") return write_replica(options, context);
-  OpenedDataset opened = dataset_of(options.config, options.set, context);
+PackSummary write_packed(const PackVerbOptions& options, OpenedDataset& opened, AppContext& context) {
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
   print_findings(context, diagnostics);
-  print_results(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}},
-                fmt::format("pack: frames={} bytes={} file={}", summary.frames, summary.bytes, options.out));
+  return summary;
+}
+
+int pack(const PackVerbOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, options.set, context);
+  const bool replica = options.format == "replica";
+  const PackSummary written =
+      replica ? write_replica(options, opened, context) : write_packed(options, opened, context);
+  const char* const what = replica ? "folder" : "file";
+  print_results(context, {{"frames", written.frames}, {"bytes", written.bytes}, {what, options.out}},
+                fmt::format("pack: frames={} bytes={} {}={}", written.frames, written.bytes, what, options.out));
   return 0;
 }
 

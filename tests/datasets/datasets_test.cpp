@@ -341,8 +341,8 @@ TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
   EXPECT_EQ(json.at("preset_why"), "depth images show where the scene ends");
 }
 
-// The layout has whole millimetres: depth of less is lost, and counted.
-TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
+// The layout has whole millimetres: depth of less is lost.
+TEST(Capture, DepthIsInWholeMillimetres) {
   const std::string folder = fresh_folder("c");
   write_png_rgb(folder + "/a.png", 4, 2, std::vector<std::uint8_t>(24, 9));
   write_png_gray16(folder + "/d.png", 4, 2, std::vector<std::uint16_t>{0, 1, 4, 5, 10, 20, 30, 65000});
@@ -354,7 +354,7 @@ TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
-  EXPECT_EQ(capture_replica(scene, info, folder + "/out").depth_clipped, 2) << "a tenth and four tenths";
+  (void)capture_replica(scene, info, folder + "/out");
   EXPECT_EQ(read_ids(folder + "/out/depth/depth_0.png").pixels,
             (std::vector<std::uint16_t>{0, 0, 0, 1, 1, 2, 3, 6500}));
 }
