@@ -5,7 +5,6 @@
 #include <bit>
 #include <filesystem>
 
-#include "core/check.h"
 #include "core/error.h"
 #include "core/half.h"
 #include "core/text.h"
@@ -156,33 +155,19 @@ std::uint64_t element_count(const ArrayHeader& header, std::uint64_t bytes, std:
   return count;
 }
 
-// take(place in Fortran order, place in C order) of every element of two axes or more. The axis that is fastest in one
-// order is slowest in the other: both go in blocks, so that memory is read and written by the cache line.
+// take(place in Fortran order, place in C order) of every element.
 template <class Take>
-void for_each_of_fortran(const std::vector<std::int64_t>& shape, const Take& take) {
-  constexpr std::size_t kBlock = 64;
-  const std::size_t axes = shape.size();
-  std::vector<std::size_t> size(shape.begin(), shape.end()), fortran(axes, 1), c(axes, 1);
-  for (std::size_t a = 1; a < axes; ++a) fortran[a] = fortran[a - 1] * size[a - 1];
-  for (std::size_t a = axes; a-- > 1;) c[a - 1] = c[a] * size[a];
-  const std::size_t last = axes - 1, columns = size[last];
-  std::vector<std::size_t> middle(axes, 0);  // of the axes between the first and the last
-  while (true) {
-    std::size_t from = 0, to = 0;
-    for (std::size_t a = 1; a < last; ++a) {
-      from += middle[a] * fortran[a];
-      to += middle[a] * c[a];
+void for_each_of_fortran(const std::vector<std::int64_t>& shape, std::uint64_t count, const Take& take) {
+  std::vector<std::size_t> size(shape.begin(), shape.end()), at(shape.size()), step(shape.size(), 1);
+  for (std::size_t a = shape.size(); a-- > 1;) step[a - 1] = step[a] * size[a];
+  for (std::size_t from = 0, to = 0; from < count; ++from) {
+    take(from, to);
+    for (std::size_t a = 0; a < size.size(); ++a) {  // the first axis is the fastest
+      to += step[a];
+      if (++at[a] < size[a]) break;
+      to -= size[a] * step[a];
+      at[a] = 0;
     }
-    for (std::size_t row = 0; row < size[0]; row += kBlock) {
-      for (std::size_t column = 0; column < columns; column += kBlock) {
-        for (std::size_t i = row; i < std::min(row + kBlock, size[0]); ++i)
-          for (std::size_t j = column; j < std::min(column + kBlock, columns); ++j)
-            take(from + i + j * fortran[last], to + i * c[0] + j);
-      }
-    }
-    std::size_t a = 1;
-    while (a < last && ++middle[a] == size[a]) middle[a++] = 0;
-    if (a >= last) return;
   }
 }
 
@@ -214,7 +199,7 @@ NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes) {
     out.values[to] = value_at<T>(header, data.data() + from * size, size, big_endian);
   };
   if (header.fortran && count > 0 && header.shape.size() > 1) {
-    for_each_of_fortran(header.shape, put);
+    for_each_of_fortran(header.shape, count, put);
   } else {
     for (std::size_t i = 0; i < count; ++i) put(i, i);
   }
@@ -223,19 +208,6 @@ NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes) {
 
 NumpyArray array_of(const ArrayHeader& header, std::string_view bytes) {
   return {numbers_of<float>(header, bytes), header.kind() == 'u'};
-}
-
-std::string npy_bytes(const NpzEntry& entry) {
-  std::int64_t count = 1;
-  for (const std::int64_t axis : entry.shape) count *= axis;
-  SEMFIELD_CHECK(count == static_cast<std::int64_t>(entry.values.size()), "shape of another size");
-  std::string out = npy_header("<f2", entry.shape);
-  for (const float value : entry.values) {
-    const std::uint16_t half = half_of(value);
-    out += static_cast<char>(half & 0xFF);
-    out += static_cast<char>(half >> 8);
-  }
-  return out;
 }
 
 std::string key_of(const std::string& name) {
@@ -341,12 +313,6 @@ std::string npy_header(const std::string& type, const std::string& axes) {
   out += static_cast<char>(header.size() & 0xFF);
   out += static_cast<char>(header.size() >> 8);
   return out + header;
-}
-
-void write_npz(const std::string& path, std::span<const NpzEntry> entries) {
-  ZipWriter archive(path);
-  for (const NpzEntry& entry : entries) archive.add(entry.key + ".npy", npy_bytes(entry));
-  archive.write();
 }
 
 }  // namespace semfield

@@ -72,14 +72,4 @@ std::string npy_header(const std::string& type, std::span<const std::int64_t> sh
 /// The same with the shape as shape_text() writes it.
 std::string npy_header(const std::string& type, const std::string& axes);
 
-/// An array to write; the values are rounded to float16.
-struct NpzEntry {
-  std::string key;
-  std::vector<std::int64_t> shape;
-  std::span<const float> values;
-};
-/// Deflated entries, no times: equal arrays give equal files. Throws Error(io) for what cannot be written and
-/// Error(data) for an archive over 2 GiB.
-void write_npz(const std::string& path, std::span<const NpzEntry> entries);
-
 }  // namespace semfield

@@ -13,6 +13,7 @@
 #include <random>
 
 #include "tests/says.h"
+#include "tests/scene/bundle_error.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

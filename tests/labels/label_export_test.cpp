@@ -19,6 +19,7 @@
 #include "tests/labels/reader_case.h"
 #include "tests/says.h"
 #include "tests/scene/image_bytes.h"
+#include "tests/scene/npz_files.h"
 
 namespace semfield {
 namespace {

@@ -12,6 +12,7 @@
 #include "labels/training_labels.h"
 #include "loading/posed_photographs.h"
 #include "tests/labels/reader_case.h"
+#include "tests/scene/npz_files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -25,6 +25,7 @@
 #include "scene/scene.h"
 #include "system/files.h"
 #include "tests/scene/image_bytes.h"
+#include "tests/scene/npz_files.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/threads.h"
 

@@ -13,6 +13,7 @@
 #include "scene/classes/class_table.h"
 #include "scene/survey/bundle.h"
 #include "system/files.h"
+#include "tests/scene/bundle_error.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

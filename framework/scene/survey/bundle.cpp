@@ -526,13 +526,6 @@ double error_px(const Bundle& bundle, const Track& track, const Sighting& sighti
   return std::hypot(u - sighting.u, v - sighting.v);
 }
 
-double median_error_px(const Bundle& bundle) {
-  std::vector<double> errors;
-  for (const Track& track : bundle.tracks)
-    for (const Sighting& s : track.seen) errors.push_back(error_px(bundle, track, s));
-  return median_of(std::move(errors));
-}
-
 bool settle_point(const Bundle& bundle, Track& track) {
   // Where all rays come nearest, then Gauss-Newton on the angles between rays and the point.
   Eigen::Matrix3d a = Eigen::Matrix3d::Zero();

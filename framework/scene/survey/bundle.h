@@ -69,8 +69,6 @@ struct BundleOptions {
 
 /// Distance in pixels between where the frame shows the point and where its camera sees it; infinite behind it.
 double error_px(const Bundle& bundle, const Track& track, const Sighting& sighting);
-/// The median of that over all sightings; 0 without any.
-double median_error_px(const Bundle& bundle);
 /// Moves a track's point to where it is seen, its cameras fixed. False where no point is seen from two places.
 bool settle_point(const Bundle& bundle, Track& track);
 /// Levenberg-Marquardt with the points eliminated. Deterministic.
