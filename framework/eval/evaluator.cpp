@@ -278,8 +278,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3, used);
     ConfusionMatrix confusion(semantics ? job.classes : 0);
     Calibration calibration;
-    PredictedEntropy entropy;
-    GivenEntropy given;
+    LabelEntropy entropy, given;
     DepthError depth(limits.far_m);
     const bool labels = semantics && !truth.empty();
     const std::function<void()> measures[] = {

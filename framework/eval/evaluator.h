@@ -101,8 +101,8 @@ struct SplitScore {
   ColorError fitted_color;  ///< EvalJob::fit_colors
   DepthError depth;
   Calibration calibration;
-  PredictedEntropy entropy;
-  GivenEntropy given;  ///< of EvalJob::given
+  LabelEntropy entropy;  ///< of predicted labels
+  LabelEntropy given;    ///< of EvalJob::given
   double ssim_sum = 0;
   std::int64_t ssim_frames = 0;
   OpacityCounts resolution;

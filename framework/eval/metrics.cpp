@@ -491,38 +491,24 @@ std::optional<Auroc> auroc(const EntropyHistogram& low, const EntropyHistogram& 
   return Auroc{(won + tied / 2) / pairs, tied / 2 / pairs};
 }
 
-void PredictedEntropy::add(std::span<const float> entropy_nats, std::span<const std::int16_t> predicted,
-                           std::span<const std::int16_t> truth) {
-  SEMFIELD_CHECK(entropy_nats.size() == truth.size() && predicted.size() == truth.size(), "one value a pixel");
-  for (std::size_t i = 0; i < truth.size(); ++i) {
-    if (truth[i] == kVoid || predicted[i] == kVoid) continue;
-    (predicted[i] == truth[i] ? right : wrong).add(entropy_nats[i]);
-  }
-}
-
-void PredictedEntropy::merge(const PredictedEntropy& other) {
-  right.merge(other.right);
-  wrong.merge(other.wrong);
-}
-
-void GivenEntropy::add(std::span<const float> entropy_nats, std::span<const std::int16_t> given,
+void LabelEntropy::add(std::span<const float> entropy_nats, std::span<const std::int16_t> label,
                        std::span<const std::int16_t> truth) {
-  SEMFIELD_CHECK(entropy_nats.size() == truth.size() && (given.empty() || given.size() == truth.size()),
+  SEMFIELD_CHECK(entropy_nats.size() == truth.size() && (label.empty() || label.size() == truth.size()),
                  "one value a pixel");
   for (std::size_t i = 0; i < truth.size(); ++i) {
     if (truth[i] == kVoid) continue;
-    const std::int16_t label = given.empty() ? std::int16_t{kVoid} : given[i];
-    (label == kVoid ? none : label == truth[i] ? right : wrong).add(entropy_nats[i]);
+    const std::int16_t own = label.empty() ? std::int16_t{kVoid} : label[i];
+    (own == kVoid ? none : own == truth[i] ? right : wrong).add(entropy_nats[i]);
   }
 }
 
-void GivenEntropy::merge(const GivenEntropy& other) {
+void LabelEntropy::merge(const LabelEntropy& other) {
   right.merge(other.right);
   wrong.merge(other.wrong);
   none.merge(other.none);
 }
 
-std::optional<Auroc> GivenEntropy::detects_none() const {
+std::optional<Auroc> LabelEntropy::detects_none() const {
   EntropyHistogram labelled = right;
   labelled.merge(wrong);
   return auroc(labelled, none);

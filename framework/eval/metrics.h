@@ -179,28 +179,18 @@ struct Auroc {
 /// chance. Pixels of one bin are ties and count one half. None when a group has no pixel, or one that is not finite.
 std::optional<Auroc> auroc(const EntropyHistogram& low, const EntropyHistogram& high);
 
-/// Entropy of pixels whose predicted label is right, and wrong: those that the confusion matrix scores.
-struct PredictedEntropy {
-  EntropyHistogram right, wrong;
-  void add(std::span<const float> entropy_nats, std::span<const std::int16_t> predicted,
-           std::span<const std::int16_t> truth);
-  void merge(const PredictedEntropy& other);
-  /// Of entropy as a detector of wrong labels.
-  std::optional<Auroc> detects_wrong() const { return auroc(right, wrong); }
-};
-
-/// Entropy of training pixels by the label that they were given: the true one, a wrong one, none. Void truth is
-/// dropped.
-struct GivenEntropy {
+/// Entropy of pixels by a label of theirs, predicted or given for training: the true one, a wrong one, none. Void truth
+/// is dropped.
+struct LabelEntropy {
   EntropyHistogram right, wrong, none;
-  /// `given` and `truth` class indices or kVoid; an empty `given` is a frame without labels.
-  void add(std::span<const float> entropy_nats, std::span<const std::int16_t> given,
+  /// `label` and `truth` class indices or kVoid; an empty `label` is a frame without labels.
+  void add(std::span<const float> entropy_nats, std::span<const std::int16_t> label,
            std::span<const std::int16_t> truth);
-  void merge(const GivenEntropy& other);
+  void merge(const LabelEntropy& other);
   std::int64_t pixels() const { return right.pixels() + wrong.pixels() + none.pixels(); }
-  /// Of entropy as a detector of wrong labels among those given.
+  /// Of entropy as a detector of wrong labels among those that are there.
   std::optional<Auroc> detects_wrong() const { return auroc(right, wrong); }
-  /// Of entropy as a detector of pixels that were given none.
+  /// Of entropy as a detector of pixels without a label.
   std::optional<Auroc> detects_none() const;
 };
 

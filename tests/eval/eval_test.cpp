@@ -223,24 +223,24 @@ TEST(EntropyAuroc, MergesInAnyOrderToTheSameBits) {
   EXPECT_NEAR(*forward.mean(), *histogram(low).mean(), 1e-12);
 }
 
-TEST(PredictedEntropy, DropsVoidAndSplitsByWhetherTheLabelIsRight) {
-  PredictedEntropy found;
+TEST(LabelEntropy, DropsVoidAndSplitsByWhetherTheLabelIsRight) {
+  LabelEntropy found;
   // right 0.1, wrong 2, void truth, void prediction, right 1, wrong 0.5
   found.add(Floats{0.1F, 2, 0.7F, 0.7F, 1, 0.5F}, Labels{0, 1, 0, kV, 2, 0}, Labels{0, 0, kV, 0, 2, 2});
   EXPECT_EQ(found.right.pixels(), 2);
   EXPECT_EQ(found.wrong.pixels(), 2);
   EXPECT_NEAR(*found.wrong.mean(), 1.25, 1e-7);
   EXPECT_EQ(found.detects_wrong()->value, 0.75);
-  PredictedEntropy all_right;
+  LabelEntropy all_right;
   all_right.add(Floats{0.1F, 0.2F}, Labels{0, 1}, Labels{0, 1});
   EXPECT_FALSE(all_right.detects_wrong()) << "nothing to detect";
-  PredictedEntropy all_wrong;
+  LabelEntropy all_wrong;
   all_wrong.add(Floats{0.1F, 0.2F}, Labels{1, 0}, Labels{0, 1});
   EXPECT_FALSE(all_wrong.detects_wrong());
 }
 
-TEST(GivenEntropy, GroupsPixelsByTheLabelTheyTrainedWith) {
-  GivenEntropy found;
+TEST(LabelEntropy, GroupsPixelsByTheLabelTheyTrainedWith) {
+  LabelEntropy found;
   // right 0.1, wrong 2, unlabelled 1, void truth (labelled, and not), right 0.3
   found.add(Floats{0.1F, 2, 1, 0.7F, 0.7F, 0.3F}, Labels{0, 1, kV, 0, kV, 2}, Labels{0, 0, 0, kV, kV, 2});
   EXPECT_EQ(found.pixels(), 4);
@@ -249,7 +249,7 @@ TEST(GivenEntropy, GroupsPixelsByTheLabelTheyTrainedWith) {
   EXPECT_EQ(*found.none.mean(), 1);
   EXPECT_EQ(found.detects_wrong()->value, 1);
   EXPECT_NEAR(found.detects_none()->value, 2.0 / 3, 1e-15) << "1 nat against 0.1, 2 and 0.3";
-  GivenEntropy frame;  // without labels
+  LabelEntropy frame;  // without labels
   frame.add(Floats{3, 0.2F}, {}, Labels{1, kV});
   EXPECT_FALSE(frame.detects_none());
   found.merge(frame);
