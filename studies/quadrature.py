@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Error of every rule of the rendering integral against evaluations and time, on media whose integrals are known.
 
-    studies/quadrature.py --out FOLDER        # tables.md, and a figure of each medium
+    studies/quadrature.py --out FOLDER        # tables.md
 
 Samples and composited rays are the program's own; the media, their integrals by Gauss' rule, what theory predicts
 (docs/reference/quadrature.md derives it), and the rules of the literature, marked *, are written down here. Time is CPU
@@ -18,7 +18,6 @@ from typing import Callable
 import numpy as np
 
 from common import table, write
-from figures import svg
 from semfield import _core
 
 COUNTS = (8, 16, 32, 64, 128, 256, 512, 1024)
@@ -433,27 +432,11 @@ def thin_table(rays):
             f"{-math.expm1(-10):.5f}.\n\n" + table(["rule", *(f"{10.0 ** -p:g} m" for p in range(6))], rows))
 
 
-def figure(medium, curves):
-    """Trapezoid and linear colour lie on the midpoint's line, near ends next to the paper's; tables have them all."""
-    drawn = [r for r in RULES if r.shape != "left" and (r.sampler or r.shape != "second")]
-    panels = []
-    for doubles in (True, False):
-        for by_time in (False, True):
-            lines = []
-            for rule in drawn:
-                curve = curves[medium.key, rule.name, doubles]
-                x = 1e6 * curve.seconds if by_time else curve.evaluations
-                lines.append((rule.name, [(a, b) for a, b in zip(x, curve.rms[:, 0]) if b >= 1e-9]))
-            x_label = "CPU time of a ray, microseconds" if by_time else "field evaluations of a ray"
-            panels.append(("float64" if doubles else "float32", x_label, lines))
-    return svg("rms error of colour: " + medium.name, panels)
-
-
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--rays", type=int, default=1024, help="rays of jittered rules and of media with jumps")
     p.add_argument("--media", default="", help="keys, with commas (default: all): " + ", ".join(m.key for m in MEDIA))
-    p.add_argument("--out", help="folder for tables.md and figures (SVG)")
+    p.add_argument("--out", help="folder for tables.md")
     options = p.parse_args()
     media = [m for m in MEDIA if not options.media or m.key in options.media.split(",")]
     curves = {}
@@ -467,8 +450,6 @@ def main():
     held = [h for (_, _, doubles), c in curves.items() if doubles for q in range(4) if (h := c.holds(q)) is not None]
     if options.out:
         write(f"{options.out}/tables.md", text)
-        for medium in media:
-            write(f"{options.out}/{medium.key}.svg", figure(medium, curves))
     print(f"{text}\nquadrature: rules={len(RULES)} media={len(media)} order_ok={sum(held)}/{len(held)}")
     return 0 if all(held) else 1
 
