@@ -4,8 +4,8 @@ import zlib
 
 import numpy as np
 
-COLOR, DEPTH, LABEL, INSTANCE, ALPHA = 0, 1, 2, 3, 5
-DEFLATED, MILLIMETRES = 1, 2
+COLOR, ALPHA = 0, 5
+DEFLATED = 1
 TRAIN, TEST = 0, 1
 
 
@@ -46,7 +46,7 @@ class Frame:
 
 
 class PackedScene:
-    """frames, names of the classes of labels, and bounds [2, 3] in metres."""
+    """frames, and bounds [2, 3] in metres."""
 
     def __init__(self, path):
         with open(path, "rb") as file:
@@ -58,13 +58,10 @@ class PackedScene:
         manifest.text()
         manifest.take("Bdd")
         self.bounds = np.array(manifest.take("6d")).reshape(2, 3)
-        self.classes = []
-        for _ in range(manifest.take("I")):
+        for _ in range(manifest.take("I")):  # classes
             manifest.take("i")
-            name = manifest.text()
-            *_, void = manifest.take("3BB")
-            if not void:
-                self.classes.append(name)
+            manifest.text()
+            manifest.take("3BB")
         self.frames = [Frame(manifest, version) for _ in range(manifest.take("I"))]
 
     def of(self, split):
@@ -74,20 +71,6 @@ class PackedScene:
         offset, stored, raw, _, form = frame.chunks[channel] if channel < len(frame.chunks) else (0, 0, 0, 0, 0)
         data = self.data[offset:offset + stored]
         return np.frombuffer(zlib.decompress(data) if raw and form & DEFLATED else data, np.uint8)
-
-    def depth_m(self, frame):
-        """float32 [height, width] along the camera's axis, 0 where it is not known."""
-        data, form = self.chunk(frame, DEPTH), frame.chunks[DEPTH][4]
-        depth = data.view(np.uint16).astype(np.float32) / 1000 if form & MILLIMETRES else data.view(np.float32)
-        return depth.reshape(frame.height, frame.width)
-
-    def labels(self, frame):
-        """int16 [height, width], numbers of classes, -1: none."""
-        return self.chunk(frame, LABEL).view(np.int16).reshape(frame.height, frame.width)
-
-    def instances(self, frame):
-        """int32 [height, width], 0: none."""
-        return self.chunk(frame, INSTANCE).view(np.int32).reshape(frame.height, frame.width)
 
     def pixels(self, frame):
         """uint8 [height, width, 4]: colour before the scene's background, and alpha, 255 where there is none."""
