@@ -12,7 +12,6 @@
 #include <string_view>
 #include <vector>
 
-#include "app/allocation_count.h"
 #include "app/bench/step_case.h"
 #include "app/json_output.h"
 #include "compute/isa.h"
@@ -108,7 +107,6 @@ struct Row {
   int threads = 0, steps = 1;
   std::shared_ptr<StepCase> step = {};
   std::int64_t rays = 0;
-  std::int64_t allocated = 0;          ///< most bytes of operator new in a call of steps after the first step
   std::vector<double> processor = {};  ///< processor seconds per step, summed over threads
   Spread seconds = {};
   double rate() const { return of.frame ? 0 : static_cast<double>(step->samples_per_step()) / seconds.median; }
@@ -116,12 +114,10 @@ struct Row {
 
   double take() {
     if (of.frame) return step->render_seconds(of.rays);
-    StepCase::start_threads(threads);  // a team of another size would count as the step's memory and time
-    const std::int64_t before = allocations_so_far().bytes;
+    StepCase::start_threads(threads);  // a team of another size would count as the step's time
     const std::clock_t begin = std::clock();
     const double took = step->seconds(threads, steps);
     const std::clock_t end = std::clock();
-    allocated = std::max(allocated, allocations_so_far().bytes - before);
     processor.push_back(static_cast<double>(end - begin) / CLOCKS_PER_SEC / steps);
     return took;
   }
@@ -164,14 +160,14 @@ void print_table(const BenchOptions& options, const std::string& about, const st
   std::printf(
       "GFLOP/s count the multiply-adds of the networks that are executed (exact savings taken off), not those of "
       "encodings, sampling, compositing and Adam\n\n");
-  std::printf("%-28s %12s  %-23s %7s %6s %10s %12s %9s %9s\n", "", "ms", "(min .. max)", "threads", "rays", "core ms",
-              "samples/s", "GFLOP/s", "allocated");
+  std::printf("%-28s %12s  %-23s %7s %6s %10s %12s %9s\n", "", "ms", "(min .. max)", "threads", "rays", "core ms",
+              "samples/s", "GFLOP/s");
   for (const Row& row : rows) {
     const std::string range = fmt::format("({:.3f} .. {:.3f})", 1e3 * row.seconds.min, 1e3 * row.seconds.max);
-    std::printf("%-28s %12.3f  %-23s %7d %6lld %10.3f %12.0f %9.1f %9lld\n", row.name.c_str(), 1e3 * row.seconds.median,
+    std::printf("%-28s %12.3f  %-23s %7d %6lld %10.3f %12.0f %9.1f\n", row.name.c_str(), 1e3 * row.seconds.median,
                 range.c_str(), row.threads, static_cast<long long>(row.rays),
                 row.processor.empty() ? 0 : 1e3 * spread_of(row.processor).median, row.rate(),
-                1e-9 * row.flop() / row.seconds.median, static_cast<long long>(row.allocated));
+                1e-9 * row.flop() / row.seconds.median);
   }
 }
 
@@ -188,8 +184,7 @@ Json rows_json(const std::vector<Row>& rows) {
                    {"processor_s", row.processor.empty() ? Json() : Json(spread_of(row.processor).median)},
                    {"samples_per_s", row.rate()},
                    {"flop", row.flop()},
-                   {"flops", row.flop() / row.seconds.median},
-                   {"allocated_bytes", row.allocated}});
+                   {"flops", row.flop() / row.seconds.median}});
   }
   return all;
 }

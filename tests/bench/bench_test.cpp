@@ -2,8 +2,36 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <cstdlib>
+#include <new>
+
 #include "app/bench/step_case.h"
 #include "plugin/loader.h"
+
+namespace {
+std::atomic<std::int64_t> taken_bytes{0};
+
+void* counted(void* memory, std::size_t bytes) {
+  taken_bytes += static_cast<std::int64_t>(bytes);
+  if (memory == nullptr) throw std::bad_alloc();
+  return memory;
+}
+}  // namespace
+
+// What this program and its libraries take; array forms call these. Not inlined: a compiler that sees malloc in one
+// half of a pair warns of the other.
+[[gnu::noinline]] void* operator new(std::size_t bytes) { return counted(std::malloc(bytes > 0 ? bytes : 1), bytes); }
+[[gnu::noinline]] void* operator new(std::size_t bytes, std::align_val_t alignment) {
+  const auto step = static_cast<std::size_t>(alignment);
+  return counted(std::aligned_alloc(step, (bytes + step) / step * step), bytes);
+}
+// A sanitizer's own would not call the one above.
+void* operator new(std::size_t bytes, const std::nothrow_t&) noexcept { return std::malloc(bytes > 0 ? bytes : 1); }
+[[gnu::noinline]] void operator delete(void* memory) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
 
 namespace semfield {
 namespace {
@@ -93,6 +121,29 @@ TEST_F(StepCases, AStepTrainsOnEveryRaysSamples) {
   EXPECT_GT(first, 0.04 * 0.5 * std::log(5.0));  // colours of noise and labels of chance
   EXPECT_GT(step.seconds(2, 3), 0);
   EXPECT_NE(step.loss(), first);
+}
+
+TEST_F(StepCases, StepsAllocateNothingAfterTheFirst) {
+  const std::vector<std::string> narrow = {"passes.0.sampler.samples=8", "passes.1.sampler.samples=8",
+                                           "semantics.hidden_width=16", "passes.0.field.width=32",
+                                           "passes.0.field.view_width=16"};
+  for (const std::string precision : {"fp32", "bf16"}) {
+    for (const int classes : {0, 29, 512}) {
+      std::vector<std::string> set = narrow;
+      set.push_back("runtime.precision=" + precision);
+      StepCase paper = make("paper.yaml", classes, set);
+      StepCase hash = make("bench/hash_step.yaml", classes, {set.back(), "passes.0.position.log2_entries=15"});
+      for (StepCase* const step : {&paper, &hash}) {
+        for (const int threads : {1, 2}) {
+          StepCase::start_threads(threads);
+          step->seconds(threads, 1);
+          const std::int64_t before = taken_bytes;
+          step->seconds(threads, 3);
+          EXPECT_EQ(taken_bytes, before) << precision << ", " << classes << " classes, " << threads << " threads";
+        }
+      }
+    }
+  }
 }
 
 TEST(Spreads, MedianAndEnds) {
