@@ -15,22 +15,9 @@ if words[0] == "train":
     open(os.path.join(run, "environment.json"), "w").write(json.dumps({"cpu": "a CPU", "threads": 2}))
     assert open(words[1]).read() if words[1].endswith("lego.yaml") else True
     print(json.dumps({"steps": 7}))
-elif words[0] == "pack":
-    open(words[words.index("--out") + 1], "w").write("a packed scene")
-    print("{}")
 else:
     seconds = float(words[1].rsplit("_", 1)[1])
     print(json.dumps({"psnr": 20 + seconds, "absrel": 0.05, "miou_present": None, "frames": 3, "per_frame": [{"psnr": 21}, {"psnr": 24}]}))
-"""
-
-
-# A Python with PyTorch, which is given the peer's script.
-PEER = """#!/usr/bin/env python3
-import json, os, sys
-script, packed, _, times = sys.argv[1:]
-assert script.endswith("object_peer.py") and os.path.exists(script) and open(packed).read() == "a packed scene"
-for seconds in times.split(","):
-    print(json.dumps({"seconds": float(seconds), "steps": 3, "frames": 3, "psnr_of_views": 19.5}))
 """
 
 
@@ -49,8 +36,8 @@ with tempfile.TemporaryDirectory() as folder:
     program = os.path.join(folder, "semfield")
     write_program(program, PROGRAM)
     os.makedirs(os.path.join(folder, "scenes", "lego"))
-    scenes, figures, picture = (os.path.join(folder, name) for name in ("scenes", "figures.json", "picture.svg"))
-    common = [scenes, "--program", program, "--json", figures, "--plot", picture]
+    scenes, figures = (os.path.join(folder, name) for name in ("scenes", "figures.json"))
+    common = [scenes, "--program", program, "--json", figures]
 
     done = run(*common, "--scenes", "lego,studio", "--times", "5")
     assert done.returncode == 0, done.stderr
@@ -76,22 +63,6 @@ with tempfile.TemporaryDirectory() as folder:
         done = run(*common, "--scenes", "lego", "--times", "60")
         assert done.returncode == 1 and "figures of other frames or pixels do not compare" in done.stderr, (what, done)
     write_program(program, PROGRAM)
-
-    # A peer's rows stand beside those of the same time, and in no figure of the last line.
-    write_program(os.path.join(folder, "nvidia-smi"), "#!/bin/sh\necho A GPU\n")
-    peer = os.path.join(folder, "python_with_torch")
-    write_program(peer, PEER)
-    done = run(*common, "--scenes", "lego", "--times", "5,60", "--peer", peer)
-    assert done.returncode == 0, done.stderr
-    assert "lego_5s=25.00 lego_60s=80.00" in done.stdout, done.stdout
-    with open(figures) as file:
-        rows = json.load(file)
-    assert sorted((row["seconds"], row["preset"]) for row in rows) == [(5, "a step in PyTorch"), (5, "object"), (60, "a step in PyTorch"), (60, "object")], rows
-    with open(picture) as file:
-        assert ">lego: a step in PyTorch</text>" in file.read()
-    write_program(peer, "#!/bin/sh\necho no PyTorch >&2\nexit 3\n")
-    done = run(*common, "--scenes", "lego", "--times", "5", "--peer", peer)
-    assert done.returncode != 0 and "ended with 3: no PyTorch" in done.stderr, done.stderr
 
     done = run(*common, "--scenes", "legos")
     assert done.returncode == 2, done.stderr
