@@ -59,13 +59,13 @@ inline PixelPoint point_near_image(double x, double y, const std::string& which,
   return {x, y};
 }
 
-/// Polygons, or run lengths.
+/// Polygons, or run lengths, or neither: no pixels.
 struct CocoMask {
   std::vector<Outline> parts;
   std::vector<std::int64_t> counts;  ///< empty with parts
 
   std::vector<PixelRun> runs(std::int32_t width, std::int32_t height, const std::string& place) const {
-    if (parts.empty()) return at_place(place, [&] { return runs_of_counts(counts, width, height); });
+    if (!counts.empty()) return at_place(place, [&] { return runs_of_counts(counts, width, height); });
     std::vector<PixelRun> out;
     for (const Outline& part : parts) {
       const std::vector<PixelRun> of_part = outline_runs(part, width, height);

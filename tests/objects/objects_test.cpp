@@ -603,7 +603,7 @@ TEST(ReadSegments, InstancesOfCoco) {
       "instances.json",
       R"({"images": [{"id": 8, "file_name": "rgb_0.jpg", "width": 4, "height": 3}, {"id": 9, "file_name": "other.jpg"}],
           "annotations": [{"image_id": 8, "category_id": 2, "segmentation": {"size": [3, 4], "counts": "0<"}},
-                          {"image_id": 9, "segmentation": []}],
+                          {"image_id": 8, "segmentation": []}, {"image_id": 9, "segmentation": []}],
           "categories": [{"id": 2, "name": "wall"}]})");
   const FrameSegments frame = read_segments(file, "", scene_info()).frames[0];
   EXPECT_EQ(frame.id, std::vector<std::int32_t>(12, 1));
