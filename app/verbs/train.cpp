@@ -191,7 +191,7 @@ int run(const TrainOptions& options, AppContext& context) {
     }
     return 0;
   }
-  TrainRequest request;
+  TrainRequest request{.driver = Driver::command};
   request.resume = resume;
   if (resume) request.more = asked;
   request.keep = options.keep;
@@ -201,7 +201,7 @@ int run(const TrainOptions& options, AppContext& context) {
   install_stop_signals(!context.quiet);
   install_save_signal();
   stop_waits(false, "stopped before the first step");
-  const TrainOutcome outcome = run_training(std::move(config), context.registry, request, &shown);
+  const TrainOutcome outcome = Run(std::move(config), context.registry, request, &shown).finish();
   clear_live();
   if (outcome.signal != 0) {
     print_note(context, fmt::format("stopped at step {} after its checkpoint; resume with `semfield train --resume {}`",

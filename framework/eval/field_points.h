@@ -23,7 +23,7 @@ struct FieldPoints {
 
 /// Semantics are those of a sample of weight 1: what a ray would tell that met nothing but this point. `directions`
 /// [N] unit vectors that the points are seen along, or empty: no colour is made. Throws Error(data) for a position or
-/// direction that is not finite. As query_points (execution/lane_executor.h).
+/// direction that is not finite. As query_points (execution/render_rays.h).
 FieldPoints field_at(Pipeline<float>& pipeline, std::span<const Vec3d> positions, std::span<const Vec3d> directions,
                      const RayLimits& limits, const ClassOfLogit& class_of_logit, int classes);
 

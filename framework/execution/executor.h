@@ -13,6 +13,7 @@
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/view.h"
+#include "execution/render_rays.h"
 #include "execution/train_rays.h"
 #include "model/optim/adam.h"
 #include "scene/camera.h"
@@ -86,9 +87,6 @@ struct StepResults {
   std::optional<Error> afterwards;  ///< samplers could not refresh their state after the last of these steps
 };
 
-template <class Real>
-class PointNetwork;
-
 /// The tensors of a pipeline's store are what checkpoints hold; an executor may keep copies of its own. Throws Error.
 template <class Real>
 class Executor {
@@ -131,7 +129,7 @@ class Executor {
   /// sigma [N, 1] of the last pass, after activation, 1/m, at world positions [N, 3]; the same bits for any grouping of
   /// positions into calls. Not beside another call.
   virtual void density(View<const double> positions, View<Real> sigma) = 0;
-  /// The semantic part at points (execution/lane_executor.h), which lives as long as the executor.
+  /// The semantic part at points (execution/render_rays.h), which lives as long as the executor.
   virtual PointNetwork<Real>& points() {
     throw Error(ErrorKind::internal, "internal.executor.points", "this executor has no network at points");
   }

@@ -14,6 +14,7 @@
 #include "compute/isa.h"
 #include "compute/math_functions.h"
 #include "compute/parallel.h"
+#include "core/check.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/optim/adam.h"
 #include "scene/classes/class_table.h"
@@ -80,42 +81,32 @@ StateWindow state_window(const Tensor<Real>& t, std::int64_t step) {
   return {begin, std::min(kWindow, t.size() - begin)};
 }
 
-// Of all tensors at once; which one it is, check_learned and check_state say.
+template <class Real>
+std::int64_t checked_rows(const Tensor<Real>& t, std::int64_t step) {
+  return t.learned() ? t.spec.rows : state_window(t, step).count;
+}
+
+// Of the checked rows [row, row + rows).
+template <class Real>
+Unsound<Real> unsound_of(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  if (t.learned()) return unsound_of_learned(t, step, row, rows);
+  const std::int64_t begin = state_window(t, step).begin + row;
+  const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, rows, 1));
+  return at < 0 ? Unsound<Real>() : Unsound<Real>{"value", begin + at, t.value.data()[begin + at]};
+}
+
+// Of all tensors at once; which one it is, require_sound says.
 template <class Real>
 bool all_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
   std::atomic<bool> sound{true};
   const auto tensor = [&](int i) -> const Tensor<Real>& { return tensors[static_cast<std::size_t>(i)]; };
   for_ranges(
-      static_cast<int>(tensors.size()),
-      [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : state_window(tensor(i), step).count; },
+      static_cast<int>(tensors.size()), [&](int i) { return checked_rows(tensor(i), step); },
       [&](int i) { return tensor(i).learned() ? tensor(i).spec.cols : 1; },
       [&](int i, std::int64_t row, std::int64_t rows) {
-        const Tensor<Real>& t = tensor(i);
-        const bool good = t.learned() ? unsound_of_learned(t, step, row, rows).element < 0
-                                      : all_finite(t.value.data() + state_window(t, step).begin + row, rows);
-        if (!good) sound = false;
+        if (unsound_of(tensor(i), step, row, rows).element >= 0) sound = false;
       });
   return sound;
-}
-
-template <class Real>
-void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& losses) {
-  const Unsound<Real> bad = unsound_of_learned(t, step, 0, t.spec.rows);
-  if (bad.element < 0) return;
-  throw Error(ErrorKind::failure, "train.gradient.not_finite",
-              fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
-                          element_text(t, bad.element), bad.found, losses.total),
-              std::string(fault_remedy()));
-}
-
-template <class Real>
-void check_state(const Tensor<Real>& t, std::int64_t step) {
-  const auto [begin, count] = state_window(t, step);
-  const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, count, 1));
-  if (at < 0) return;
-  throw Error(ErrorKind::failure, "train.tensor.not_finite",
-              fmt::format("'{}' holds {} at {}", t.name, t.value.data()[begin + at], element_text(t, begin + at)),
-              std::string(fault_remedy()));
 }
 
 constexpr std::int64_t kRowsAhead = 1024;  // encoded in one call; by row, so it changes no bits
@@ -138,18 +129,6 @@ void grow(std::vector<T>& buffer, std::int64_t size) {
 template <class T>
 std::size_t allocated_bytes(const std::vector<T>& buffer) {
   return buffer.capacity() * sizeof(T);
-}
-
-constexpr std::int64_t kPointUnit = 1024;  // points of a unit of work; results do not depend on it
-constexpr std::int64_t kPointTile = 64;    // points of a batch that one lane takes
-
-// body(arena, begin, count) for units of the points.
-template <class Body>
-void for_points(ThreadArenas& arenas, std::int64_t points, const Body& body) {
-  arenas.for_units((points + kPointUnit - 1) / kPointUnit, [&](Workspace& arena, std::int64_t unit) {
-    const Workspace::Scope taken(arena);
-    body(arena, unit * kPointUnit, std::min(kPointUnit, points - unit * kPointUnit));
-  });
 }
 
 }  // namespace
@@ -179,7 +158,8 @@ template <class Real>
 void LaneExecutor<Real>::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
   const WorkScope scope(options().work);
   const ComputeFloatMode mode;
-  const StepLosses losses = checked_gradients(step, batch);
+  const StepLosses losses = gradients(step, batch);
+  require_sound(step, losses);
   AdamStep rule = update;
   rule.labelled = losses.labelled > 0;
   passes().front().parts().stages->adam(&rule, pipeline_.store().learned());
@@ -214,17 +194,16 @@ template <class Real>
 void LaneExecutor<Real>::ask(const Pass<Real>& pass, const StepContext& ctx, View<const double> positions,
                              View<Real> sigma) {
   constexpr std::int64_t kPiece = 4096;
+  SEMFIELD_CHECK(!inside_parallel(), "a sampler asks for densities outside parallel regions");
   const auto answer = [&](std::int64_t begin, std::int64_t end) {
-    parallel_for((end - begin + kPiece - 1) / kPiece, [&](std::int64_t i) {
+    arenas_.for_units((end - begin + kPiece - 1) / kPiece, [&](Workspace& arena, std::int64_t i) {
       StepContext local = ctx;
-      const auto arena = queries_.borrow();
-      local.workspace = arena.get();
+      local.workspace = &arena;
       const std::int64_t first = begin + i * kPiece, count = std::min(kPiece, end - first);
       pass.density(local, positions.row_range(first, count), sigma.row_range(first, count));
     });
   };
-  // A sampler that asks from several threads asks each process in another order.
-  if (!ranks_ || inside_parallel()) return answer(0, positions.rows);
+  if (!ranks_) return answer(0, positions.rows);
   try {
     ranks_->share_rows(sigma, answer);
   } catch (const RankLost&) {  // the step is made but for this; the next one finds out
@@ -238,15 +217,20 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   const ComputeFloatMode mode;
   const std::int64_t rays = batch.origin.rows, tile_rays = pipeline_.tile_rays();
   const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
+  pipeline_.store().zero_gradients();
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = pipeline_.scales_of(batch);
   const RayBatch seen = moved(batch);
+  const auto walk = [&] {
+    if (draws_ahead()) draw_ahead(step, seen, tiles);
+    walk_tiles(step, seen, tiles, scales);
+  };
   if (ranks_) {
     ranks_->share_out(tiles);
-    agree(ranks_->all(), [&] { walk_tiles(step, seen, tiles, scales); });
+    agree(ranks_->all(), walk);
     ranks_->gather_losses(tile_losses_);
   } else {
-    walk_tiles(step, seen, tiles, scales);
+    walk();
   }
   scatter(step);
   if (ranks_) {
@@ -299,7 +283,6 @@ void LaneExecutor<Real>::walk_tiles(std::int64_t step, const RayBatch& batch, st
   for (auto& lane : inboxes_) {
     for (EncoderInbox<Real>& inbox : lane) inbox.rows = 0;
   }
-  if (draws_ahead()) draw_ahead(step, batch, tiles);
   // Lanes with tiles of the step, the one with most samples first as far as they are known; else lanes with a tile more
   // than others have the low numbers.
   const std::int64_t with_tiles = std::min<std::int64_t>(end_lane(), tiles) - first_lane();
@@ -442,14 +425,18 @@ std::size_t LaneExecutor<Real>::workspace_bytes() const {
 // Which ray or tensor is behind a step that failed.
 
 template <class Real>
-StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBatch& batch) {
-  ParamStore<Real>& store = pipeline_.store();
-  store.zero_gradients();
-  const StepLosses losses = gradients(step, batch);
+void LaneExecutor<Real>::require_sound(std::int64_t step, const StepLosses& losses) {
+  const ParamStore<Real>& store = pipeline_.store();
   if (hook_) hook_({step, store.learned_gradients(), nullptr});
   const bool sound = all_sound(store.all(), step);
   for (const Tensor<Real>& t : store.all()) {
-    if (!sound && t.learned()) check_learned(t, step, losses);
+    if (sound || !t.learned()) continue;
+    const Unsound<Real> bad = unsound_of(t, step, 0, checked_rows(t, step));
+    if (bad.element < 0) continue;
+    throw Error(ErrorKind::failure, "train.gradient.not_finite",
+                fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
+                            element_text(t, bad.element), bad.found, losses.total),
+                std::string(fault_remedy()));
   }
   if (!std::isfinite(losses.total)) {
     std::string terms;
@@ -461,9 +448,13 @@ StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBat
         std::string(fault_remedy()));
   }
   for (const Tensor<Real>& t : store.all()) {
-    if (!sound && !t.learned()) check_state(t, step);
+    if (sound || t.learned()) continue;
+    const Unsound<Real> bad = unsound_of(t, step, 0, checked_rows(t, step));
+    if (bad.element < 0) continue;
+    throw Error(ErrorKind::failure, "train.tensor.not_finite",
+                fmt::format("'{}' holds {} at {}", t.name, bad.found, element_text(t, bad.element)),
+                std::string(fault_remedy()));
   }
-  return losses;
 }
 
 template <class Real>
@@ -624,146 +615,7 @@ void LaneExecutor<Real>::gather(std::size_t p) {
   });
 }
 
-// At points of space.
-
-template <class Real>
-void query_points(Pipeline<Real>& pipeline, const PointQuery<Real>& query) {
-  const WorkScope scope(pipeline.options().work);
-  const ComputeFloatMode mode;
-  const Pass<Real>& pass = pipeline.passes().back();
-  if (!query.sigma.empty()) pipeline.lanes().density(query.position, query.sigma);
-  if (query.color.empty() && query.logits.empty()) return;
-  ThreadArenas arenas;
-  for_points(arenas, query.position.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
-    const StepContext ctx{.seed = pipeline.options().seed, .pass = pass.parts().number, .workspace = &arena};
-    const View<const double> places = query.position.row_range(begin, count);
-    if (!query.color.empty())
-      pass.point_colors(ctx, places, query.direction.row_range(begin, count), query.color.row_range(begin, count));
-    if (!query.logits.empty()) {
-      const View<Real> rows = arena.take<Real>(count, pass.point_dims());
-      pass.point_rows(ctx, places, rows);
-      pass.point_forward(ctx, 0, rows, query.logits.row_range(begin, count));
-    }
-  });
-}
-
-template <class Real>
-std::vector<Tensor<Real>*> semantic_tensors(ParamStore<Real>& store) {
-  std::vector<Tensor<Real>*> tensors;
-  for (Tensor<Real>& tensor : store.all())
-    if (tensor.rule.semantic && tensor.grad.size() > 0) tensors.push_back(&tensor);
-  return tensors;
-}
-
-template <class Real>
-StepContext LanePoints<Real>::context(std::int64_t step, bool training, Workspace& arena) const {
-  return {.seed = pipeline_.options().seed,
-          .step = step,
-          .training = training,
-          .pass = pass().parts().number,
-          .workspace = &arena};
-}
-
-template <class Real>
-void LanePoints<Real>::rows(View<const double> positions, View<Real> rows) {
-  const WorkScope scope(pipeline_.options().work);
-  const ComputeFloatMode mode;
-  for_points(arenas_, positions.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
-    pass().point_rows(context(0, false, arena), positions.row_range(begin, count), rows.row_range(begin, count));
-  });
-}
-
-template <class Real>
-void LanePoints<Real>::logits(View<const Real> rows, View<Real> logits) {
-  const WorkScope scope(pipeline_.options().work);
-  const ComputeFloatMode mode;
-  for_points(arenas_, rows.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
-    (void)pass().point_forward(context(0, false, arena), kMainGradient, rows.row_range(begin, count),
-                               logits.row_range(begin, count));
-  });
-}
-
-template <class Real>
-void LanePoints<Real>::gradients(std::int64_t step, View<const Real> input, View<const std::int16_t> logit,
-                                 const std::vector<Tensor<Real>*>& tensors) {
-  const std::int64_t rows = input.rows;
-  const std::int64_t tiles = (rows + kPointTile - 1) / kPointTile;
-  const std::int32_t classes = pass().parts().head->width();
-  const int lanes = static_cast<int>(std::min<std::int64_t>(pipeline_.store().lanes(), tiles));
-  arenas_.for_units(lanes, [&](Workspace& arena, std::int64_t lane) {
-    for (std::int64_t tile = lane; tile < tiles; tile += lanes) {
-      const std::int64_t begin = tile * kPointTile, count = std::min(kPointTile, rows - begin);
-      const Workspace::Scope taken(arena);
-      StepContext ctx = context(step, true, arena);
-      ctx.first_ray = begin;
-      const View<Real> logits = arena.take<Real>(count, classes), d_logits = arena.take<Real>(count, classes);
-      const PointTrace<Real> trace =
-          pass().point_forward(ctx, static_cast<int>(lane), input.row_range(begin, count), logits);
-      SemanticTargets targets;
-      targets.hard = logit.row_range(begin, count);
-      semantic_cross_entropy<Real>(logits, targets, {}, static_cast<double>(rows), 1, d_logits, begin);
-      pass().point_backward(ctx, static_cast<int>(lane), trace, d_logits);
-    }
-  });
-  for (Tensor<Real>* tensor : tensors) {  // in lane order
-    const auto size = static_cast<std::size_t>(tensor->size());
-    for (int lane = 0; lane < lanes; ++lane) {
-      Real* const from = tensor->lanes.data() + static_cast<std::size_t>(lane) * size;
-      for (std::size_t i = 0; i < size; ++i) tensor->grad.data()[i] += from[i];
-      std::fill_n(from, size, Real(0));
-    }
-  }
-}
-
-template <class Real>
-void LanePoints<Real>::learn(const PointLessons<Real>& lessons) {
-  const WorkScope scope(pipeline_.options().work);
-  const ComputeFloatMode mode;
-  const std::vector<Tensor<Real>*> tensors = semantic_tensors(pipeline_.store());
-  const auto clear = [](const AlignedBuffer<Real>& buffer) { std::fill_n(buffer.data(), buffer.size(), Real(0)); };
-  for (const Tensor<Real>* tensor : tensors) clear(tensor->grad);  // of the last step of training
-  std::int64_t step = 0;
-  std::vector<Real> rows(static_cast<std::size_t>(lessons.batch * lessons.rows.cols));
-  std::vector<std::int16_t> logit(static_cast<std::size_t>(lessons.batch));
-  for (AdamStep update : lessons.updates) {
-    const StepContext ctx = context(step, true, arenas_.own());
-    pass().derive(ctx);
-    for (std::int64_t b = 0; b < lessons.batch; ++b) {
-      const std::int32_t point = lessons.choice[static_cast<std::size_t>(step * lessons.batch + b)];
-      std::copy_n(lessons.rows.row(point), lessons.rows.cols, rows.data() + b * lessons.rows.cols);
-      logit[static_cast<std::size_t>(b)] = lessons.logit[static_cast<std::size_t>(point)];
-    }
-    gradients(step, {rows.data(), lessons.batch, lessons.rows.cols}, {logit.data(), lessons.batch, 1}, tensors);
-    pass().derive_backward(ctx);
-    for (const Tensor<Real>* tensor : tensors) {
-      if (tensor->learned()) {
-        update.decay = tensor->spec.rows > 1 ? update.learning_rate * lessons.weight_decay : 0;
-        adam_dense<Real>(update, tensor->view(tensor->value), tensor->view(tensor->grad), tensor->view(tensor->moment1),
-                         tensor->view(tensor->moment2), 0, tensor->spec.rows);
-      }
-      clear(tensor->grad);
-    }
-    ++step;
-  }
-  for (const Tensor<Real>* tensor : tensors) {
-    clear(tensor->moment1);
-    clear(tensor->moment2);
-  }
-  pass().derive(context(step, true, arenas_.own()));
-}
-
-template <class Real>
-void LanePoints<Real>::write() {
-  pass().derive(context(0, true, arenas_.own()));
-}
-
-#define SEMFIELD_INSTANTIATE(Real)                                                      \
-  template class LaneExecutor<Real>;                                                    \
-  template void query_points<Real>(Pipeline<Real>&, const PointQuery<Real>&);           \
-  template std::vector<Tensor<Real>*> semantic_tensors<Real>(ParamStore<Real> & store); \
-  template class LanePoints<Real>;
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(double)
-#undef SEMFIELD_INSTANTIATE
+template class LaneExecutor<float>;
+template class LaneExecutor<double>;
 
 }  // namespace semfield

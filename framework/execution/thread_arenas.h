@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <vector>
 
 #include "compute/parallel.h"
@@ -65,28 +64,6 @@ class ThreadArenas {
   Workspace own_;
   std::vector<std::unique_ptr<Arena>> arenas_;
   std::int64_t growths_ = 0;  // that were answered by giving freed memory back
-};
-
-/// Arenas for calls that may run beside each other, as many as ran at a time: scratch alone, nothing in one outlives
-/// its call.
-class WorkspacePool {
- public:
-  /// One that nobody else has; it comes back when the pointer goes.
-  auto borrow() {
-    const std::lock_guard lock(mutex_);
-    if (free_.empty()) free_.push_back(std::make_unique<Workspace>());
-    Workspace* const arena = free_.back().release();
-    free_.pop_back();
-    auto give_back = [this](Workspace* used) {
-      const std::lock_guard again(mutex_);
-      free_.emplace_back(used);
-    };
-    return std::unique_ptr<Workspace, decltype(give_back)>(arena, give_back);
-  }
-
- private:
-  std::mutex mutex_;
-  std::vector<std::unique_ptr<Workspace>> free_;
 };
 
 }  // namespace semfield

@@ -50,8 +50,8 @@ struct SamplerTraits {
   bool keeps_to_room = false;
 };
 
-/// sigma (after activation, 1/m) [N,1] at world positions [N,3]; safe to call from parallel_for bodies.
-/// Outside them one large call is better than many: its rows are shared by threads and by the processes of a run.
+/// sigma (after activation, 1/m) [N,1] at world positions [N,3]. Called outside parallel regions; one large call is
+/// better than many: its rows are shared by threads and by the processes of a run.
 template <class Real>
 using DensityQuery = std::function<void(View<const double> positions, View<Real> sigma)>;
 

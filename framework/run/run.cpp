@@ -8,10 +8,8 @@
 #include <ctime>
 #include <filesystem>
 #include <limits>
-#include <set>
 
 #include "compute/parallel.h"
-#include "config/compose.h"
 #include "config/explain.h"
 #include "core/check.h"
 #include "core/error.h"
@@ -25,14 +23,6 @@
 #include "system/process.h"
 
 namespace semfield {
-
-/// Where a run that goes on begins.
-struct ResumePoint {
-  std::optional<CheckpointFacts> facts;   ///< of the newest checkpoint that verifies; none: the run begins at step 0
-  std::string path;                       ///< of that checkpoint
-  std::vector<ConfigDifference> changed;  ///< settings that are others than before, and may be
-  std::int64_t step() const { return facts ? facts->step : 0; }
-};
 
 namespace {
 
@@ -57,116 +47,9 @@ void write_run_config(const RunFolder& folder, const RunConfig& config, Registry
   write_file_atomic(folder.config_path(), text);
 }
 
-// What a resumed run goes on from.
-
-// " --set KEY=VALUE" for a shell; nothing for a value that is absent.
-std::string set_text(const std::string& key, const std::string& value) {
-  return value == kAbsent ? std::string() : " --set " + shell_word(key + "=" + value);
-}
-
-void require_same_run(const std::vector<ConfigDifference>& identity, const RunFolder& folder) {
-  if (identity.empty()) return;
-  std::string changes, keep, anew;
-  for (const ConfigDifference& change : identity) {
-    changes += (changes.empty() ? "" : ", ") + change.text();
-    keep += set_text(change.key, change.left);
-    anew += set_text(change.key, change.right);
-  }
-  throw Error(ErrorKind::config, "run.config.other",
-              fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
-              fmt::format("to resume that one: semfield train --resume {}{}; to train again: semfield train {}{} "
-                          "--out NEW_FOLDER",
-                          shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
-}
-
-// What the run settled after the checkpoint, and the legs that were requested, are no changes of a setting.
-bool is_of_the_length(const std::string& key, bool was_open) {
-  return key.starts_with("train.schedule.legs") ||
-         (was_open && (key == "train.steps" || key == "train.time_s" || key == "train.schedule.hold_steps" ||
-                       key == "train.schedule.decay_steps"));
-}
-
-// Keys that --set gives.
-std::set<std::string> keys_set(const std::string& config_path, const std::vector<std::string>& overrides) {
-  std::set<std::string> keys;
-  for (const ConfigSetting& setting : config_settings(compose_config(config_path, overrides)))
-    if (setting.from.starts_with("--")) keys.insert(setting.key);
-  return keys;
-}
-
-// Compares `config` with what the checkpoint was trained with, or with run.yaml where there is none. Throws
-// Error(config) naming every setting that would make it another run, Error(data) for a bad checkpoint.
-ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
-                              Diagnostics& diagnostics) {
-  ResumePoint point;
-  std::optional<RunConfig> before;
-  if (const auto found = CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics)) {
-    point.facts = read_checkpoint_facts(found->file, found->step);
-    point.path = found->path;
-    before = settings_of_checkpoint(*point.facts, registry);
-  }
-  if (!before) before = load_run_config(folder.config_path(), {}, registry);
-  if (point.facts && point.facts->seed != before->runtime.seed) {
-    throw Error(
-        ErrorKind::data, "checkpoint.seed.differs",
-        fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
-        "resume from another checkpoint of the run: move this file out of the folder");
-  }
-  std::vector<ConfigDifference> refused;
-  for (ConfigDifference& change : config_differences(resolved_config(*before), resolved_config(config))) {
-    if (is_of_the_length(change.key, last_step(*before) == 0)) continue;
-    (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
-  }
-  require_same_run(refused, folder);
-  return point;
-}
-
 // As long again as it trained.
 std::string train_on_words(const std::string& run_dir, double train_s) {
   return fmt::format("semfield train --resume {} --time {:.0f}s", shell_word(run_dir), std::ceil(train_s));
-}
-
-// The scores that ended training, as metrics.jsonl has them: figures, and the part of the split that they are of.
-void read_scores(const RunFolder& folder, TrainOutcome& outcome) {
-  for (const MetricsRow& row : read_metrics(folder.metrics_path())) {
-    if (row.kind != "eval" || row.step != outcome.step || !row.split.starts_with("test")) continue;
-    outcome.values.clear();
-    outcome.scored = {};
-    for (const auto& [name, value] : row.values) {
-      const auto number = static_cast<std::int64_t>(value.value_or(0));
-      if (name == "frames") {
-        outcome.scored.frames = number;
-      } else if (name == "split_frames") {
-        outcome.scored.of = number;
-      } else if (name == "pixel_stride") {
-        outcome.scored.stride = static_cast<std::int32_t>(number);
-      } else if (name != "pixels") {
-        outcome.values.emplace_back(name, value);
-      }
-    }
-    if (outcome.scored.of == 0) outcome.scored.of = outcome.scored.frames;
-  }
-}
-
-// What the run in `folder` came to, from its files, where the checkpoint that it goes on from is of its last step, that
-// step was scored, the page about it is there, and no setting changes. None: it has to be gone on with, if only to be
-// scored.
-std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& config, const ResumePoint& point) {
-  if (!point.facts || !point.changed.empty()) return std::nullopt;
-  if (last_step(config) == 0 || point.step() < last_step(config)) return std::nullopt;
-  if (!fs::exists(folder.report_path())) return std::nullopt;
-  // A scene without test frames has no last evaluation.
-  if (fs::exists(folder.final_eval_path()) &&
-      parse_final_eval(read_text_file(folder.final_eval_path()), folder.final_eval_path()).step != point.step())
-    return std::nullopt;
-  TrainOutcome outcome;
-  outcome.step = point.step();
-  outcome.train_s = point.facts->train_s;
-  outcome.run_dir = folder.path();
-  outcome.report_path = folder.report_path();
-  outcome.peak_bytes = peak_resident_bytes();
-  read_scores(folder, outcome);
-  return outcome;
 }
 
 // What the process holds when the first steps are made. Throws Error(unavailable) where it is more than
@@ -184,281 +67,7 @@ std::size_t memory_of_first_steps(const RunConfig& config) {
   return bytes;
 }
 
-constexpr std::int64_t kProbe_px = 2048;     // scored once to learn what a pixel costs
-constexpr std::int64_t kLeastMap_px = 1024;  // of a frame at a stride; fewer pixels say little
-constexpr std::int64_t kLeastLast_px = 256;  // of one of many frames
-
-const char* name_of(Split split) { return split == Split::test ? "test" : "train"; }
-
-std::int64_t pixels_of(const EvalJob& job) {
-  std::int64_t pixels = 0;
-  for (const int f : job.frames) {
-    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
-    pixels += std::int64_t{strided_px(camera.width_px, job.stride)} * strided_px(camera.height_px, job.stride);
-  }
-  return pixels;
-}
-
-// The largest stride that leaves every frame a map of `least_px` at least.
-std::int32_t most_stride(const EvalJob& job, std::int64_t least_px) {
-  std::int32_t most = INT32_MAX;
-  for (const int f : job.frames) {
-    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
-    std::int32_t stride = 1;
-    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >= least_px)
-      ++stride;
-    most = std::min(most, stride);
-  }
-  return most;
-}
-
-void write_final_eval(const RunFolder& folder, FinalEval detail, std::int64_t step, double train_s) {
-  detail.step = step;
-  detail.train_s = train_s;
-  write_file_atomic(folder.final_eval_path(), final_eval_json(detail));
-}
-
-// A row of metrics.jsonl for a scored part of `split`, "test" or "train".
-MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
-                     const SplitScore& score, const ClassTable& classes) {
-  MetricsRow row;
-  row.kind = "eval";
-  row.step = step;
-  row.train_s = train_s;
-  row.split = split;
-  row.values = score.values();
-  row.set("frames", static_cast<double>(part.frames));
-  row.set("pixels", static_cast<double>(score.pixels));
-  if (!part.whole()) {
-    row.split += kSampleSuffix;
-    row.set("split_frames", static_cast<double>(part.of));
-    row.set("pixel_stride", part.stride);
-  }
-  if (split != "test") return row;
-  const std::vector<ClassScore> per_class = score.confusion.per_class();
-  for (std::size_t c = 0; c < per_class.size(); ++c)
-    row.per_class_iou.emplace_back(classes.valid(static_cast<int>(c)).name, per_class[c].iou);
-  return row;
-}
-
-// Adds what the labels that trained are worth against the scene's own, on these frames.
-void add_given_scores(MetricsRow& row, const Session& session, const std::vector<int>& frames) {
-  const ConfusionMatrix given = score_training_labels(session, frames);
-  row.set("given_miou", given.miou());
-  row.set("given_miou_present", given.miou_present());
-  row.set("given_total_accuracy", given.total_accuracy());
-  row.set("given_px", static_cast<double>(given.scored_px()));
-}
-
 }  // namespace
-
-// What a run scores: a sample of test frames now and then, test and training frames at its end. A stop signal ends a
-// sample between its frames.
-class RunScores {
- public:
-  RunScores(const Trainer& training, const RunFolder& folder, MetricsLog& log, RunListener& listener)
-      : training_(training),
-        folder_(folder),
-        log_(log),
-        listener_(listener),
-        start_s_(training.train_s()),
-        budget_(session().config.report.eval_share, end_s(session().config)),
-        test_(session().scene.frames_of(Split::test)) {}
-
-  // A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
-  // evaluations took their part of the time already.
-  void score_sample() {
-    if (test_.empty() || !budget_.has_time_for_sample(training_.train_s() - start_s_)) return;
-    EvalJob job = session().eval_job(evenly_spaced(test_, session().config.report.eval_frames));
-    if (!sample_stride_) {
-      if (budget_.bounds_samples()) measure_cost(job);
-      sample_stride_ = budget_.sample_stride(static_cast<double>(pixels_of(job)), session().config.report.eval_every_s,
-                                             most_stride(job, kLeastMap_px));
-    }
-    job.stride = *sample_stride_;
-    job.stop = [this] { return listener_.stop_signal() != 0; };
-    const SplitScore found = score(job, Split::test);
-    if (found.frames.size() < job.frames.size()) return;  // stopped between frames: no partial figures
-    const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
-    log_test(part, found);
-  }
-
-  // The end of training: a sample where there are others, then test frames with final_eval.json and the report's
-  // frames, then training frames. Where time is short, every frame at fewer pixels. Values of the test frames; none
-  // without any.
-  ScoreValues score_end() {
-    const ReportParams& report = session().config.report;
-    if (report.eval_every_s > 0 && training_.train_s() >= report.eval_every_s)
-      score_sample();  // the curve's last point
-    EvalJob test_job = session().eval_job(test_),
-            train_job = session().eval_job(
-                evenly_spaced(session().scene.frames_of(Split::train), session().config.report.training_frames));
-    double left_s = budget_.left_s(training_.train_s());
-    if (budget_.bounds_last() && !(test_.empty() && train_job.frames.empty())) {
-      measure_cost(test_.empty() ? train_job : test_job);
-      left_s = budget_.left_s(training_.train_s());
-      const auto pixels = static_cast<double>(pixels_of(test_job) + pixels_of(train_job));
-      // Frames are left out by no budget: figures of other frames say something else. Pictures get half of it.
-      const std::int32_t most = std::min(most_stride(test_job, kLeastLast_px), most_stride(train_job, kLeastLast_px));
-      if (budget_.stride_within(left_s, pixels, most) > 1)
-        test_job.stride = train_job.stride = budget_.stride_within(left_s / 2, pixels, most);
-    }
-    ScoreValues values;
-    if (!test_.empty()) values = score_test_frames(test_job, left_s / 2);
-    if (train_job.frames.empty()) return values;
-    // The field at the training poses against the scene's own labels, then the labels given.
-    train_job.given = &session().labels;
-    const ScoredPart part{std::ssize(train_job.frames), std::ssize(session().scene.frames_of(Split::train)),
-                          train_job.stride};
-    MetricsRow row = score_row(training_.step(), training_.train_s(), "train", part, score(train_job, Split::train),
-                               session().scene.info.classes);
-    add_given_scores(row, session(), train_job.frames);
-    log_.append(row);
-    log_.sync();
-    return values;
-  }
-
-  std::optional<double> last_miou_present;
-  ScoredPart last_part;  // of the test frames scored last
-  ReportFrames report_frames;
-
- private:
-  const Session& session() const { return training_.session(); }
-
-  // What a pixel costs, from a few of the job's, unless an evaluation showed it already.
-  void measure_cost(EvalJob job) {
-    if (budget_.knows_cost()) return;
-    job.frames = evenly_spaced(job.frames, 1);
-    const std::int32_t most = most_stride(job, kLeastMap_px);
-    while (job.stride < most && pixels_of(job) > kProbe_px) ++job.stride;
-    const double begin_s = listener_.now_s();
-    evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
-    budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
-  }
-
-  SplitScore score(EvalJob job, Split split) {
-    job.progress = [&](double done) { listener_.scoring({name_of(split), done, std::ssize(job.frames)}); };
-    const double begin_s = listener_.now_s();
-    SplitScore found = evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
-    job.frames.resize(found.frames.size());
-    if (!job.frames.empty()) budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
-    return found;
-  }
-
-  void log_test(const ScoredPart& part, const SplitScore& score) {
-    const MetricsRow row =
-        score_row(training_.step(), training_.train_s(), "test", part, score, session().scene.info.classes);
-    log_.append(row);
-    log_.sync();
-    last_miou_present = score.confusion.miou_present();
-    last_part = part;
-  }
-
-  // `pictures_s`: what the report's pictures may take where the scores do not make them.
-  ScoreValues score_test_frames(EvalJob job, double pictures_s) {
-    const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
-    if (!part.whole())
-      listener_.note(
-          fmt::format("the last evaluation scores {} to end near the time asked for (report.eval_share {}); "
-                      "`semfield eval {}` scores every pixel",
-                      part.text(), session().config.report.eval_share, shell_word(folder_.path())));
-    report_frames =
-        ReportFrames(evenly_spaced(job.frames, session().config.report.strips), session().config.report.worst_frames);
-    job.on_frame = [this](const FrameScore& frame, const RenderedFrame& maps) { report_frames.add(frame, maps); };
-    const SplitScore found = score(job, Split::test);
-    if (part.stride > 1) draw_report_frames(pictures_s, part.stride);
-    log_test(part, found);
-    if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
-    const std::string split = part.whole() ? "test" : "test" + kSampleSuffix;
-    write_final_eval(folder_, final_eval(found, session().scene.info.classes, split), training_.step(),
-                     training_.train_s());
-    return found.values();
-  }
-
-  // Finer than the scores, where the time allows it.
-  void draw_report_frames(double budget_s, std::int32_t scored_stride) {
-    EvalJob job = session().eval_job(report_frames.frames());
-    job.stride = budget_.stride_within(budget_s, static_cast<double>(pixels_of(job)), scored_stride);
-    if (job.stride == scored_stride) return;
-    report_frames.draw([&](int frame) {
-      const FrameInfo& info = session().scene.info.frames[static_cast<std::size_t>(frame)];
-      FrameOptions options;
-      options.stride = job.stride;
-      return render_named_frame(*session().pipeline, info.name, {info.camera, info.world_from_camera, job.undistort},
-                                session().limits, session().plan.class_of_logit, {}, options);
-    });
-  }
-
-  const Trainer& training_;
-  const RunFolder& folder_;
-  MetricsLog& log_;
-  RunListener& listener_;
-  double start_s_;
-  EvalBudget budget_;
-  std::vector<int> test_;
-  std::optional<std::int32_t> sample_stride_;
-};
-
-std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
-  try {
-    Diagnostics diagnostics;
-    // Modules are loaded already, by run.yaml or by the command line.
-    RunConfig config =
-        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
-    if (!diagnostics.has_errors()) return config;
-  } catch (const Error&) {
-  }
-  return std::nullopt;
-}
-
-void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
-                           Diagnostics& diagnostics) {
-  warn_of_other_inputs(facts.inputs, inputs, diagnostics);
-  warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
-  // Clicks are meant to come, and other labels are reported already where both checksums are known.
-  const bool told = !facts.inputs.training_labels.value_or("").empty() && !inputs.training_labels.value_or("").empty();
-  Diagnostics ignored;
-  compare_training_labels(facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
-                          told || session.config.labels.clicks ? ignored : diagnostics);
-}
-
-bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
-                                    const std::vector<std::string>& overrides, Registry& registry,
-                                    Diagnostics& diagnostics) {
-  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
-  if (!trained) return true;
-  const std::set<std::string> on_purpose = keys_set(folder.config_path(), overrides);
-  bool same_scene = true;
-  std::vector<std::string> edited, asked;
-  std::string back, keep;
-  for (const ConfigDifference& change : config_differences(resolved_config(*trained), resolved_config(config))) {
-    if (may_change_on_resume(change.key) || is_of_the_length(change.key, last_step(*trained) == 0)) continue;
-    same_scene = same_scene && !change.key.starts_with("scene.");
-    if (on_purpose.contains(change.key)) {
-      asked.push_back(change.text());
-      continue;
-    }
-    edited.push_back(change.text());
-    back += set_text(change.key, change.left);
-    keep += set_text(change.key, change.right);
-  }
-  if (!edited.empty()) {
-    throw Error(
-        ErrorKind::config, "run.config.edited",
-        fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
-        fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
-  }
-  if (!asked.empty())
-    diagnostics.note("run.config.settings", "settings",
-                     "they differ from those that the run was trained with: " + join(asked));
-  return same_scene;
-}
-
-std::string ScoredPart::text() const {
-  const std::string count =
-      frames == of ? fmt::format("all {} frames", of) : fmt::format("{} of {} frames", frames, of);
-  return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
-}
 
 double RunListener::now_s() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
 
@@ -820,6 +429,7 @@ bool Run::apply(const LabelEvent& event) {
 }
 
 TrainOutcome Run::finish() {
+  if (ended_) return *ended_;
   SEMFIELD_CHECK(scores_ != nullptr, "Run::finish is for Driver::command alone");
   const WorkScope scope(work_);
   const double start_s = training_->train_s();
@@ -859,49 +469,6 @@ void Run::add_what_is_left(Error& error) const {
   error.while_doing(fmt::format("training ended at step {} ({}resume with `semfield train --resume {}`{})",
                                 training_->step(), kept, shell_word(run_dir()),
                                 lost ? ", with any number of processes" : ""));
-}
-
-TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request, RunListener* listener) {
-  request.driver = Driver::command;
-  Run run(std::move(config), registry, request, listener);
-  return run.ended() ? *run.ended() : run.finish();
-}
-
-std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
-                        const SplitScore* refined, const Diagnostics& found) {
-  // Figures of other data or settings are not the run's.
-  for (const Diagnostic& finding : found.all())
-    if (finding.code == "run.scene.changed" || finding.code == "run.config.settings") return finding.message;
-  const ClassTable& classes = run.session.scene.info.classes;
-  const std::int64_t frames = std::ssize(score.frames);
-  MetricsRow row = score_row(run.step, run.train_s, split, {frames, frames, 1}, score, classes);
-  if (refined != nullptr) row.set("psnr_refined_poses", refined->color.psnr_db());
-  if (split == "train") {
-    std::vector<int> all;
-    for (const FrameScore& frame : score.frames) all.push_back(frame.frame);
-    add_given_scores(row, run.session, all);
-  }
-  try {
-    const RunFolder folder = RunFolder::resume(run.run_dir);  // nobody trains it meanwhile
-    const std::vector<CheckpointStore::Entry> saved = CheckpointStore::read(folder.checkpoints_path()).list();
-    if (saved.empty() || saved.front().step != run.step) return "the run has gone on since it was opened";
-    const bool logged = std::filesystem::exists(folder.metrics_path());
-    const std::vector<MetricsRow> rows = logged ? read_metrics(folder.metrics_path()) : std::vector<MetricsRow>();
-    const std::string line = metrics_line(row);
-    const auto last = std::find_if(rows.rbegin(), rows.rend(), [&](const MetricsRow& old) {
-      return old.kind == "eval" && old.split.starts_with(split);
-    });
-    if (last == rows.rend() || metrics_line(*last) != line) {
-      MetricsLog log = MetricsLog::resume(folder.metrics_path(), std::numeric_limits<std::int64_t>::max());
-      log.append(row);
-      log.sync();
-    }
-    if (split != "test") return {};
-    write_final_eval(folder, final_eval(score, classes, split), run.step, run.train_s);
-  } catch (const Error& error) {
-    return error.message();
-  }
-  return {};
 }
 
 }  // namespace semfield

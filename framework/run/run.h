@@ -14,9 +14,10 @@
 
 #include "labels/clicks/click_log.h"
 #include "run/metrics_log.h"
+#include "run/opened_run.h"
 #include "run/run_folder.h"
 #include "run/run_scores.h"
-#include "session/checkpoint_facts.h"
+#include "session/checkpoint.h"
 #include "session/self_training.h"
 #include "session/session.h"
 #include "session/settings/choices.h"
@@ -86,12 +87,6 @@ struct TrainOutcome {
   std::size_t peak_bytes = 0;  ///< of the process
 };
 
-/// A whole run by Driver::command. A null `listener` hears nothing and never stops the run.
-TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request, RunListener* listener = nullptr);
-
-struct ResumePoint;
-class RunScores;
-
 /// Steps have the same bits whoever drives, and every verb works on the folder. One thread at a time.
 class Run {
  public:
@@ -121,8 +116,8 @@ class Run {
   /// Errors are those of Trainer::advance and of writing; where another rank is lost, steps that all have made are
   /// saved first.
   std::span<const StepLosses> advance(std::int64_t most);
-  /// Of Driver::command: steps to the end or to a stop signal, then the last scores and the report: run_training of a
-  /// run that is open.
+  /// Of Driver::command: steps to the end or to a stop signal, then the last scores and the report. Of a run that has
+  /// ended, what it came to.
   TrainOutcome finish();
   /// Trainer::train_more; run.yaml says so.
   void train_more(const AskedLength& asked);
@@ -189,21 +184,5 @@ class Run {
   Clock::time_point last_save_ = Clock::now(), last_progress_ = Clock::now();
   bool warned_of_slow_steps_ = false, memory_known_ = false;
 };
-
-// What a run that is opened again is compared with.
-
-/// None when a program of another version wrote them and they cannot be read.
-std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry);
-
-/// Warns of other inputs, labels and modules than the checkpoint's; Error(data) where classes have changed places.
-void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
-                           Diagnostics& diagnostics);
-
-/// For a run that is looked at by `config`, its run.yaml with `overrides`: throws Error(config) naming each setting of
-/// the run's identity that run.yaml says otherwise than the checkpoint, and notes those that `overrides` say otherwise.
-/// False where they name other frames, sizes or bounds than those of training: then other inputs are no news.
-bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
-                                    const std::vector<std::string>& overrides, Registry& registry,
-                                    Diagnostics& diagnostics);
 
 }  // namespace semfield

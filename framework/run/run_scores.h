@@ -1,4 +1,4 @@
-// Runs that are opened again: evaluated, their scores kept, compared; and the frames of an evaluation that reports
+// What a run scores while it trains and at its end, what `eval` adds, and the frames of an evaluation that reports
 // show.
 #pragma once
 
@@ -11,12 +11,14 @@
 
 #include "core/error.h"
 #include "eval/evaluator.h"
-#include "plugin/registry.h"
 #include "run/metrics_log.h"
+#include "run/opened_run.h"
 #include "run/run_folder.h"
-#include "session/session.h"
+#include "session/trainer.h"
 
 namespace semfield {
+
+class RunListener;
 
 /// Which part of a split an evaluation scored.
 struct ScoredPart {
@@ -26,19 +28,6 @@ struct ScoredPart {
   /// "4 of 30 frames", "all 30 frames at 1 pixel in 4".
   std::string text() const;
 };
-
-/// Opens a finished or interrupted run for evaluation and rendering: run.yaml, scene, newest checkpoint.
-struct OpenedRun {
-  Session session;
-  std::int64_t step = 0;
-  double train_s = 0;
-  std::string run_dir;
-};
-enum class OpenFor { evaluation, evaluation_of_training_frames, rendering, objects };
-/// `ranks`: SessionOptions::ranks. For rendering alone no pixel is read, unless the checkpoint does not state what
-/// training knew of the scene.
-OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
-                   Diagnostics& diagnostics, OpenFor purpose = OpenFor::evaluation, Ranks* ranks = nullptr);
 
 // Frames of an evaluation that a report shows: evenly spaced ones, and the worst.
 
@@ -91,25 +80,47 @@ class ReportFrames {
 
 using ScoreValues = std::vector<std::pair<std::string, std::optional<double>>>;
 
+/// A sample of test frames now and then, test and training frames at the end. A stop signal ends a sample between its
+/// frames.
+class RunScores {
+ public:
+  /// Borrows all.
+  RunScores(const Trainer& training, const RunFolder& folder, MetricsLog& log, RunListener& listener);
+
+  /// A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
+  /// evaluations took their part of the time already.
+  void score_sample();
+  /// The end of training: a sample where there are others, then test frames with final_eval.json and the report's
+  /// frames, then training frames. Where time is short, every frame at fewer pixels. Values of the test frames; none
+  /// without any.
+  ScoreValues score_end();
+
+  std::optional<double> last_miou_present;
+  ScoredPart last_part;  ///< of the test frames scored last
+  ReportFrames report_frames;
+
+ private:
+  const Session& session() const { return training_.session(); }
+  void measure_cost(EvalJob job);
+  SplitScore score(EvalJob job, Split split);
+  void log_test(const ScoredPart& part, const SplitScore& score);
+  ScoreValues score_test_frames(EvalJob job, double pictures_s);
+  void draw_report_frames(double budget_s, std::int32_t scored_stride);
+
+  const Trainer& training_;
+  const RunFolder& folder_;
+  MetricsLog& log_;
+  RunListener& listener_;
+  double start_s_;
+  EvalBudget budget_;
+  std::vector<int> test_;
+  std::optional<std::int32_t> sample_stride_;
+};
+
 /// Keeps the scores of every pixel of a split where reports look for them: a row of metrics.jsonl, and for test frames
 /// final_eval.json. Scores that are there already stay. `refined`: the same frames once more with poses fitted to the
 /// field, or null. `found`: what opening the run had to say. Returns why nothing was kept; "" otherwise.
 std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
                         const SplitScore* refined, const Diagnostics& found);
-
-// Whether two runs are the same training: settings, scene and every bit of their newest checkpoints.
-
-struct RunComparison {
-  std::string difference;  ///< the first one in a sentence; "" = equal
-  std::int64_t step = 0;   ///< of the first run's newest checkpoint
-  std::size_t tensors = 0;
-};
-
-/// Compares, in this order: settings that are part of a run's identity, class tables, inputs, steps, tensors. Times,
-/// threads, places of files and what reports show do not count. Settings are those of the checkpoints; a run.yaml that
-/// says other ones is a warning. Throws Error(no_input) for a folder without a
-/// checkpoint.
-RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Registry& registry,
-                           Diagnostics& diagnostics);
 
 }  // namespace semfield

@@ -39,7 +39,7 @@ struct PointLearning {
   std::uint64_t seed = 1;       ///< of the order of points and of dropout
 };
 
-/// Works on the semantic tensors of the pipeline's last pass where its executor runs (execution/lane_executor.h).
+/// Works on the semantic tensors of the pipeline's last pass where its executor runs (execution/render_rays.h).
 /// Nothing else of the pipeline may run meanwhile.
 class PointLearner {
  public:

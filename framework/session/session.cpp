@@ -485,6 +485,10 @@ EvalJob Session::eval_job(std::vector<int> frames) const {
   return job;
 }
 
+SplitScore Session::evaluate(const EvalJob& job) const {
+  return semfield::evaluate(*pipeline, job, limits, plan.class_of_logit);
+}
+
 std::vector<std::int16_t> Session::logit_of_class() const {
   std::vector<std::int16_t> logit(static_cast<std::size_t>(classes()), kVoid);
   for (std::size_t l = 0; l < plan.class_of_logit.size(); ++l) {

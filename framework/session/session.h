@@ -10,7 +10,7 @@
 #include "execution/ranks/ranks.h"
 #include "model/leave_out.h"
 #include "session/assembly.h"
-#include "session/checkpoint_facts.h"
+#include "session/checkpoint.h"
 #include "session/ray_source.h"
 #include "session/settings/run_config.h"
 
@@ -35,6 +35,7 @@ struct Session {
   int classes() const { return scene.info.classes.valid_count(); }
   std::vector<std::string> choices() const;  ///< all of them
   EvalJob eval_job(std::vector<int> frames) const;
+  SplitScore evaluate(const EvalJob& job) const;
   /// Inverse of plan.class_of_logit, kVoid for absent classes.
   std::vector<std::int16_t> logit_of_class() const;
   /// Training frames with pixels: those of the ray source, in its order.
@@ -51,7 +52,7 @@ struct SessionOptions {
   bool trainable = true;
   bool build = true;                  ///< false: stop after the plan
   DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
-  /// What training knew of the scene (checkpoint_facts.h); then the training labels are not made again.
+  /// What training knew of the scene (checkpoint.h); then the training labels are not made again.
   std::optional<KnownScene> known;
   bool pixels = true;          ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
   bool probe = false;          ///< let a short training find the bounds of a scene that only guesses them

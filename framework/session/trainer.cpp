@@ -5,15 +5,12 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstring>
-#include <set>
 #include <tuple>
 
 #include "compute/isa.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
 #include "plugin/loader.h"
-#include "scene/camera_rig.h"
 #include "session/assembly.h"
 #include "system/checksum.h"
 
@@ -39,61 +36,6 @@ Error no_logit(const std::string& place, const std::string& name) {
 }
 
 double steady_s() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
-
-void copy_tensors(const ParamStore<float>& from, ParamStore<float>& to) {
-  for (const Tensor<float>& t : from.all()) {
-    const Tensor<float>* there = to.find(t.name);
-    if (there != nullptr && is_stored(t.spec.role)) std::copy_n(t.value.data(), t.value.size(), there->value.data());
-  }
-}
-
-const char* const kMoment1 = "adam/m/";
-const char* const kMoment2 = "adam/v/";
-
-std::vector<std::int64_t> shape_of(const Tensor<float>& t) { return {t.spec.rows, t.spec.cols}; }
-
-Error refused_network(Code code, const TensorFile& file, const std::string& what) {
-  return Error(ErrorKind::data, code, file.name() + ": tensor " + what + ": this is another network's checkpoint",
-               "train and load with the same configuration (run.yaml of the checkpoint's run)");
-}
-
-// Checks shape and presence of one tensor in the file.
-const TensorRef& matching(const TensorFile& file, const std::string& name, const Tensor<float>& t) {
-  const TensorRef* found = file.find(name);
-  const std::string want = fmt::format("[{}, {}]", t.spec.rows, t.spec.cols);
-  if (found == nullptr)
-    throw refused_network("checkpoint.tensor.missing", file, fmt::format("'{}' {} is missing", name, want));
-  if (found->shape != shape_of(t) || found->type != TensorType::f32) {
-    std::string have;
-    for (const std::int64_t n : found->shape) have += (have.empty() ? "" : ", ") + std::to_string(n);
-    throw refused_network("checkpoint.tensor.shape", file,
-                          fmt::format("'{}' is [{}], the network needs {}", name, have, want));
-  }
-  return *found;
-}
-
-// visit(name, tensor, buffer) for what a checkpoint holds: values, and with `moments` those of learned tensors.
-template <class Visit>
-void each_stored(const ParamStore<float>& store, bool moments, const Visit& visit) {
-  for (const Tensor<float>& t : store.all()) {
-    if (!is_stored(t.spec.role)) continue;
-    visit(t.name, t, t.value);
-    if (!moments || !t.learned()) continue;
-    visit(kMoment1 + t.name, t, t.moment1);
-    visit(kMoment2 + t.name, t, t.moment2);
-  }
-}
-
-// Everything is checked before anything is changed.
-void load_stored(const TensorFile& file, bool moments, const ParamStore<float>& store) {
-  each_stored(store, moments, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>&) {
-    (void)matching(file, name, t);
-  });
-  each_stored(store, moments, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& to) {
-    const TensorRef& from = matching(file, name, t);
-    std::memcpy(to.data(), from.bytes.data(), from.bytes.size());
-  });
-}
 
 std::string element_text(const Tensor<float>& t, std::int64_t element) {
   return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
@@ -187,17 +129,14 @@ std::span<const StepLosses> Trainer::advance(std::int64_t most) {
   hold_pixels();
   const std::int64_t end = step_ + std::min<std::int64_t>(most, executor().most_queued());
   std::optional<Error> refused;  // what stopped the step behind those that are made
-  bool has_batch = true;         // of that step
   for (std::int64_t step = step_; step < end && !refused; ++step) {
     try {
-      has_batch = drawn_;
       if (drawn_) {
         executor().queue_drawn(step, terms_of(step), update_of(step));
-        continue;
+      } else {
+        fill(step);
+        executor().queue(step, batch(), update_of(step));
       }
-      fill(step);
-      has_batch = true;
-      executor().queue(step, batch(), update_of(step));
     } catch (const RankLost&) {
       throw;
     } catch (const Error& error) {
@@ -208,7 +147,7 @@ std::span<const StepLosses> Trainer::advance(std::int64_t most) {
   step_ += std::ssize(results.losses);
   for (const StepLosses& losses : results.losses) note_density(losses);
   if (results.failed) explain_failed_step();
-  if (refused && !has_batch) throw Error(*refused);
+  if (refused && !drawn_ && filled_ != step_) throw Error(*refused);  // its batch, before it was walked
   if (refused) {
     collect();
     if (drawn_) fill(step_);
@@ -256,8 +195,10 @@ void Trainer::hold_pixels() {
 }
 
 void Trainer::fill(std::int64_t step) {
+  filled_ = -1;
   rays_->fill(step, batch_);
   batch_.terms = terms_of(step);
+  filled_ = step;
 }
 
 // The CPU makes the step again, from the same tensors: it names ray, pixel and tensor.
@@ -265,7 +206,8 @@ void Trainer::explain_failed_step() {
   collect();
   fill(step_);
   try {
-    (void)pipeline().lanes().checked_gradients(step_, batch());
+    LaneExecutor<float>& lanes = pipeline().lanes();
+    lanes.require_sound(step_, lanes.gradients(step_, batch()));
   } catch (const Error& error) {
     fail(error);
   }
@@ -352,8 +294,7 @@ RenderedFrame Trainer::render(const Camera& camera, const Pose& world_from_camer
 
 SplitScore Trainer::evaluate(std::vector<int> frames) const {
   const WorkScope scope(work_);
-  return semfield::evaluate(*session_.pipeline, session_.eval_job(std::move(frames)), session_.limits,
-                            session_.plan.class_of_logit);
+  return session_.evaluate(session_.eval_job(std::move(frames)));
 }
 
 void Trainer::require_drawn(int frame) const {
@@ -484,32 +425,10 @@ CheckpointFacts Trainer::facts() {
 
 // Checkpoints.
 
-void Trainer::check_storable() const {
-  each_stored(
-      pipeline().store(), true, [&](const std::string&, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
-        const std::int64_t bad = first_non_finite<float>(t.view(buffer));
-        if (bad < 0) return;
-        throw Error(
-            ErrorKind::failure, "checkpoint.save.not_finite",
-            fmt::format("no checkpoint of step {}: {}'{}' holds {} at {}", step_,
-                        &buffer == &t.value ? "" : "a moment of ", t.name, buffer.data()[bad], element_text(t, bad)),
-            "resume from the last checkpoint");
-      });
-}
-
-std::vector<TensorRef> Trainer::tensors() const {
-  std::vector<TensorRef> out;
-  each_stored(pipeline().store(), true,
-              [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
-                out.push_back(tensor_ref(name, shape_of(t), std::span<const float>(buffer.data(), buffer.size())));
-              });
-  return out;
-}
-
 std::vector<TensorRef> Trainer::state() {
   const WorkScope scope(work_);
   collect();
-  check_storable();
+  check_storable(pipeline().store(), step_);
   return tensors();
 }
 
@@ -538,109 +457,16 @@ void Trainer::load(const std::string& path) {
 }
 
 void Trainer::load(const TensorFile& file, std::int64_t step) {
-  std::set<std::string> known;
-  for (const TensorRef& wanted : tensors()) known.insert(wanted.name);
-  for (const TensorRef& have : file.tensors())
-    if (!known.contains(have.name))
-      throw refused_network("checkpoint.tensor.unknown", file,
-                            "'" + have.name + "' belongs to no part of this network");
   const std::vector<std::vector<float>> axes = axes_of(session_);
-  load_stored(file, true, pipeline().store());
+  load_tensors(file, pipeline().store());
   step_ = step;
   executor().upload(step_);
   follow_axes(session_, axes);
 }
 
 void load_pipeline(Pipeline<float>& pipeline, const TensorFile& file) {
-  load_stored(file, false, pipeline.store());
+  load_tensors(file, pipeline.store(), false);
   pipeline.executor().upload(0);
-}
-
-void use_learned_poses(Session& s, const TensorFile& checkpoint, Diagnostics& diagnostics) {
-  const std::string name = std::string(CameraCorrections<float>::kPoseName) + "/learned";
-  const TensorRef* learned = checkpoint.find(name);
-  const std::vector<int> frames = s.scene.frames_of(Split::train);
-  const std::int64_t rows = std::ssize(frames);
-  if (learned == nullptr) return;
-  if (learned->shape != std::vector<std::int64_t>{rows, kPoseNumbers}) {
-    diagnostics.warning(
-        "run.poses.other", "train.cameras",
-        fmt::format("the poses that the run has learned are not those of the {} training frames of this scene: those "
-                    "given are used",
-                    frames.size()),
-        "open the run with the scene that it was trained on");
-    return;
-  }
-  const std::vector<float> numbers = checkpoint.floats(name, rows * kPoseNumbers);
-  std::vector<float> used(numbers.size());
-  cpu_camera_kernels<float>().centre({numbers.data(), rows, kPoseNumbers}, 1, {used.data(), rows, kPoseNumbers}, false);
-  const double distance_m = s.pipeline->options().cameras.distance_m;
-  double turned_deg = 0, moved_m = 0;
-  for (std::size_t i = 0; i < frames.size(); ++i) {
-    Pose& pose = s.scene.info.frames[static_cast<std::size_t>(frames[i])].world_from_camera;
-    const Pose given = pose;
-    pose = corrected(given, &used[kPoseNumbers * i], distance_m);
-    turned_deg += angle_deg(given, pose);
-    moved_m += length(pose.t - given.t);
-  }
-  const double each = 1.0 / static_cast<double>(std::max<std::int64_t>(rows, 1));
-  diagnostics.note(
-      "run.poses.learned", "train.cameras",
-      fmt::format("training frames have the poses that the run has learned, {:.2f} degrees and {:.3g} m from "
-                  "those given in the mean",
-                  turned_deg * each, moved_m * each));
-}
-
-std::vector<Pose> refine_poses(Session& s, Registry& registry, const std::vector<int>& frames,
-                               const PoseRefinement& how) {
-  NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent);
-  CameraRules& cameras = parts.options.cameras;
-  cameras.count = std::ssize(frames);
-  cameras.poses = cameras.alone = true;
-  cameras.colors = false;
-  cameras.pose_rate = 1;
-  parts.options.losses = LossList();
-  Session fitted;  // the field as it is, and cameras that learn
-  fitted.pipeline = assemble(std::move(parts), {}, true);
-  const std::unique_ptr<Pipeline<float>>& pipeline = fitted.pipeline;
-  s.pipeline->executor().download(0);
-  copy_tensors(s.pipeline->store(), pipeline->store());
-  run_on({s.pipeline->executor().device(), true, nullptr, nullptr}, s.config, registry, s.plan, s.extent, *pipeline);
-  pipeline->executor().upload(0);
-
-  std::vector<TrainFrame> drawn;
-  for (const int frame : frames) {
-    const auto f = static_cast<std::size_t>(frame);
-    if (s.scene.frames[f].is_unusable()) continue;
-    const FrameInfo& info = s.scene.info.frames[f];
-    drawn.push_back(
-        {{info.camera, info.world_from_camera, s.plan.undistortion}, &s.scene.frames[f], nullptr, info.name});
-  }
-  RaySourceOptions options;
-  options.train = s.config.train;
-  options.train.rays = how.rays;
-  options.train.ray_source = RaySourceKind::all_images;
-  options.targets = {std::string(channel::camera)};
-  options.seed = s.config.runtime.seed;
-  options.tile_rays = pipeline->executor().tile_rays(how.rays);
-  fitted.config.adam = {.learning_rate = how.learning_rate, .beta2 = 0.99, .epsilon = 1e-15};
-  fitted.config.schedule = {.kind = ScheduleKind::exponential, .factor = 0.1, .decay_steps = how.steps, .legs = {}};
-  fitted.config.train.steps = how.steps;
-  fitted.config.runtime.threads = s.config.runtime.threads;
-  fitted.config.limits = s.config.limits;
-  Trainer trainer(
-      fitted, nullptr,
-      std::make_unique<RaySource>(std::move(drawn), s.plan.semantics ? s.logit_of_class() : std::vector<std::int16_t>{},
-                                  s.limits, options));
-  trainer.train(how.steps);
-  trainer.collect();
-
-  const Tensor<float>* learned = pipeline->store().find(std::string(CameraCorrections<float>::kPoseName) + "/learned");
-  std::vector<Pose> poses;
-  for (std::size_t i = 0; i < frames.size(); ++i)
-    poses.push_back(corrected(s.scene.info.frames[static_cast<std::size_t>(frames[i])].world_from_camera,
-                              learned->value.data() + kPoseNumbers * i, pipeline->options().cameras.distance_m));
-  return poses;
 }
 
 }  // namespace semfield

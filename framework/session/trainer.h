@@ -13,7 +13,7 @@
 
 #include "core/non_copyable.h"
 #include "formats/safetensors.h"
-#include "session/checkpoint_facts.h"
+#include "session/checkpoint.h"
 #include "session/ray_source.h"
 #include "session/session.h"
 #include "session/settings/choices.h"
@@ -107,13 +107,9 @@ class Trainer : NonCopyable {
 
   /// Brings values, moments and states into the network's store; before any of them is read, stored or checked.
   void collect() { executor().download(step_); }
-  /// Throws Error(failure) naming the tensor for a value, moment or state that is not finite: such a state is no
-  /// checkpoint.
-  void check_storable() const;
-  /// Tensors of a checkpoint as they lie in the store: every learned and state tensor under its name, moments under
-  /// adam/m/NAME and adam/v/NAME. Borrowed.
-  std::vector<TensorRef> tensors() const;
-  /// The same, collected and checked.
+  /// stored_tensors of the network.
+  std::vector<TensorRef> tensors() const { return stored_tensors(pipeline().store()); }
+  /// The same, collected and checked: what is not finite is no checkpoint.
   std::vector<TensorRef> state();
   /// What a checkpoint says of now, but for self-training.
   CheckpointFacts facts();
@@ -122,8 +118,7 @@ class Trainer : NonCopyable {
   /// Continues from a checkpoint of the same network: the next steps give the bits of the training that was never
   /// stopped. Throws Error(data) for another network, other classes or other labels set; nothing has changed then.
   void load(const std::string& path);
-  /// Its tensors alone. Strict: every tensor must be there with its shape and nothing else may be. Throws Error(data)
-  /// naming file and tensor; nothing has changed then.
+  /// Its tensors alone, as load_tensors.
   void load(const TensorFile& file, std::int64_t step);
 
  private:
@@ -160,6 +155,7 @@ class Trainer : NonCopyable {
   StepLosses losses_;
   BatchBuffers batch_;
   std::uint64_t held_ = 0;       // version of *rays_ that the executor has looked at
+  std::int64_t filled_ = -1;     // the step that batch_ is of
   bool drawn_ = false;           // by the executor
   std::int64_t dead_steps_ = 0;  // in a row
   std::size_t dead_pass_ = 0;
@@ -172,25 +168,7 @@ class Trainer : NonCopyable {
   std::optional<SceneInputs> inputs_;
 };
 
-/// Tensors of a pipeline alone (no moments), for rendering: strict for those, moments are ignored.
+/// Tensors of a pipeline alone, for rendering (load_tensors without moments).
 void load_pipeline(Pipeline<float>& pipeline, const TensorFile& file);
-
-// Poses that are not those given: of training frames, as a run has learned them; of others, fitted to a field that
-// stays as it is. Where held-out cameras are given wrongly too, scores at their given poses say little of the field.
-
-/// Training frames of a session that was opened again get the poses that the checkpoint of its run has learned, with a
-/// note of how far they lie from those given. Nothing happens where the run believed its poses.
-void use_learned_poses(Session& session, const TensorFile& checkpoint, Diagnostics& diagnostics);
-
-struct PoseRefinement {
-  std::int64_t steps = 300;
-  std::int64_t rays = 4096;     ///< of all frames together
-  double learning_rate = 1e-3;  ///< radians and shares of the scene's half size; it falls to a tenth
-};
-
-/// Poses of `frames` under which the session's field shows their photographs best, by the colour loss alone; the same
-/// for a seed. The session has tensors of a run, whose colours it knows. Throws Error.
-std::vector<Pose> refine_poses(Session& session, Registry& registry, const std::vector<int>& frames,
-                               const PoseRefinement& how = {});
 
 }  // namespace semfield

@@ -537,7 +537,8 @@ py::dict train_run(const py::object& config, const py::dict& set, const std::str
   TrainOutcome outcome;
   {
     const Work working;
-    outcome = run_training(session_config_of(tree, registry), registry, {out, resume, {}}, &told);
+    const TrainRequest request{.out_dir = out, .resume = resume, .driver = Driver::command};
+    outcome = Run(session_config_of(tree, registry), registry, request, &told).finish();
   }
   told.raise();
   return py::dict("run_dir"_a = outcome.run_dir, "report"_a = outcome.report_path, "step"_a = outcome.step,

@@ -31,7 +31,7 @@
 #include "run/metrics_log.h"
 #include "scene/camera.h"
 #include "scene/classes/class_table.h"
-#include "session/checkpoint_facts.h"
+#include "session/checkpoint.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"
 #include "tests/labels/reader_case.h"

@@ -535,8 +535,9 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
     Diagnostics findings;
     EXPECT_EQ(error_of([&] { (void)open_run(folder, {}, testing_train::all_plugins(), findings); }), said);
     TrainRequest request{.out_dir = folder, .resume = true};
-    EXPECT_EQ(error_of([&] { (void)run_training(resumed(folder), testing_train::all_plugins(), request, nullptr); }),
-              said);
+    EXPECT_EQ(
+        error_of([&] { (void)testing_train::run_training(resumed(folder), testing_train::all_plugins(), request); }),
+        said);
     EXPECT_FALSE(fs::exists(folder + "/clicks.jsonl")) << "nothing is made in its place";
   }
 }

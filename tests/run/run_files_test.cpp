@@ -13,7 +13,7 @@
 #include "formats/safetensors.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "session/checkpoint_facts.h"
+#include "session/checkpoint.h"
 #include "system/checksum.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

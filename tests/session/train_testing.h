@@ -90,6 +90,13 @@ class HookListener final : public RunListener {
   std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override;
 };
 
+/// `semfield train`, from opening to report.
+inline TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request,
+                                 RunListener* listener = nullptr) {
+  request.driver = Driver::command;
+  return Run(std::move(config), registry, request, listener).finish();
+}
+
 /// Packs the analytic room into `dir` and writes config.yaml, which trains on it with `hash_config` and saves so often.
 /// Returns its path.
 std::string write_packed_config(const TempDir& dir, int steps, double checkpoint_every_s);

@@ -462,7 +462,7 @@ void check_length(const RunConfig& config, Diagnostics& diagnostics) {
 namespace {
 
 // Sections ("report.") and single keys; see is_part_of_identity. Where data lie is no part of it, what they are is: a
-// checkpoint keeps that (checkpoint_facts.h).
+// checkpoint keeps that (checkpoint.h).
 constexpr std::string_view kFree =
     "name base_dir plugins report. fuse. propagate. limits. train.steps train.time_s train.schedule.decay_steps "
     "train.schedule.hold_steps train.schedule.legs. runtime.threads runtime.memory_gb runtime.device scene.root "

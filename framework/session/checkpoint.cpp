@@ -1,13 +1,16 @@
-// Metadata of checkpoints: written, read strictly, compared with a scene.
-#include "session/checkpoint_facts.h"
+// Metadata of checkpoints: written, read strictly, compared with a scene; and their tensors.
+#include "session/checkpoint.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstring>
 #include <exception>
 #include <nlohmann/json.hpp>
+#include <set>
+#include <span>
 
 #include "formats/text_rows.h"
 
@@ -188,6 +191,87 @@ KnownScene read_manifest_text(const std::string& text) {
                 "resume from another checkpoint of the run");
   }
   return scene;
+}
+
+// Tensors.
+
+namespace {
+
+const char* const kMoment1 = "adam/m/";
+const char* const kMoment2 = "adam/v/";
+
+std::vector<std::int64_t> shape_of(const Tensor<float>& t) { return {t.spec.rows, t.spec.cols}; }
+
+Error refused_network(Code code, const TensorFile& file, const std::string& what) {
+  return Error(ErrorKind::data, code, file.name() + ": tensor " + what + ": this is another network's checkpoint",
+               "train and load with the same configuration (run.yaml of the checkpoint's run)");
+}
+
+// Checks shape and presence of one tensor in the file.
+const TensorRef& matching(const TensorFile& file, const std::string& name, const Tensor<float>& t) {
+  const TensorRef* found = file.find(name);
+  const std::string want = fmt::format("[{}, {}]", t.spec.rows, t.spec.cols);
+  if (found == nullptr)
+    throw refused_network("checkpoint.tensor.missing", file, fmt::format("'{}' {} is missing", name, want));
+  if (found->shape != shape_of(t) || found->type != TensorType::f32) {
+    std::string have;
+    for (const std::int64_t n : found->shape) have += (have.empty() ? "" : ", ") + std::to_string(n);
+    throw refused_network("checkpoint.tensor.shape", file,
+                          fmt::format("'{}' is [{}], the network needs {}", name, have, want));
+  }
+  return *found;
+}
+
+// visit(name, tensor, buffer) for what a checkpoint holds: values, and with `moments` those of learned tensors.
+template <class Visit>
+void each_stored(const ParamStore<float>& store, bool moments, const Visit& visit) {
+  for (const Tensor<float>& t : store.all()) {
+    if (!is_stored(t.spec.role)) continue;
+    visit(t.name, t, t.value);
+    if (!moments || !t.learned()) continue;
+    visit(kMoment1 + t.name, t, t.moment1);
+    visit(kMoment2 + t.name, t, t.moment2);
+  }
+}
+
+}  // namespace
+
+std::vector<TensorRef> stored_tensors(const ParamStore<float>& store) {
+  std::vector<TensorRef> out;
+  each_stored(store, true, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
+    out.push_back(tensor_ref(name, shape_of(t), std::span<const float>(buffer.data(), buffer.size())));
+  });
+  return out;
+}
+
+void check_storable(const ParamStore<float>& store, std::int64_t step) {
+  each_stored(store, true, [&](const std::string&, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
+    const std::int64_t bad = first_non_finite<float>(t.view(buffer));
+    if (bad < 0) return;
+    throw Error(ErrorKind::failure, "checkpoint.save.not_finite",
+                fmt::format("no checkpoint of step {}: {}'{}' holds {} at row {}, column {}", step,
+                            &buffer == &t.value ? "" : "a moment of ", t.name, buffer.data()[bad], bad / t.spec.cols,
+                            bad % t.spec.cols),
+                "resume from the last checkpoint");
+  });
+}
+
+// Everything is checked before anything is changed.
+void load_tensors(const TensorFile& file, ParamStore<float>& store, bool moments) {
+  std::set<std::string> known;
+  const auto note = [&](const std::string& name, const auto&, const auto&) { known.insert(name); };
+  each_stored(store, moments, note);
+  for (const TensorRef& have : file.tensors())
+    if (moments && !known.contains(have.name))
+      throw refused_network("checkpoint.tensor.unknown", file,
+                            "'" + have.name + "' belongs to no part of this network");
+  each_stored(store, moments, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>&) {
+    (void)matching(file, name, t);
+  });
+  each_stored(store, moments, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& to) {
+    const TensorRef& from = matching(file, name, t);
+    std::memcpy(to.data(), from.bytes.data(), from.bytes.size());
+  });
 }
 
 }  // namespace semfield

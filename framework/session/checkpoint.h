@@ -1,4 +1,5 @@
-// What a checkpoint says of its run beside the tensors, and whether a scene is still the one that it was trained on.
+// A checkpoint: its tensors, what it says of its run beside them, and whether a scene is still the one that it was
+// trained on.
 #pragma once
 
 #include <cstdint>
@@ -12,6 +13,7 @@
 #include "labels/clicks/click_log.h"
 #include "labels/training_labels.h"
 #include "model/leave_out.h"
+#include "model/param_store.h"
 
 namespace semfield {
 
@@ -29,8 +31,8 @@ struct CheckpointFacts {
   std::int64_t step = 0;
   double train_s = 0;
   std::uint32_t seed = 0;
-  std::string config;               ///< the resolved YAML
-  std::string classes;              ///< the class table as YAML; "" = none
+  std::string config;   ///< the resolved YAML
+  std::string classes;  ///< the class table as YAML; "" = none
   KnownScene scene;
   SceneInputs inputs;
   std::optional<EventsKnown>
@@ -51,5 +53,14 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file);
 /// would be another one. `keep`: components that were forced back in, then and now.
 void compare_training_labels(const KnownScene& trained, const SceneManifest& now, const ClassTable& classes,
                              const std::vector<std::string>& keep, Diagnostics& diagnostics);
+
+/// Tensors of a checkpoint as they lie in the store: every learned and state tensor under its name, moments under
+/// adam/m/NAME and adam/v/NAME. Borrowed.
+std::vector<TensorRef> stored_tensors(const ParamStore<float>& store);
+/// Throws Error(failure) naming the first of them that holds a number that is not finite; `step` is for the message.
+void check_storable(const ParamStore<float>& store, std::int64_t step);
+/// Into the store. Strict: every tensor must be there with its shape and, with `moments`, nothing else may be; without,
+/// moments are not read. Throws Error(data) naming file and tensor; nothing has changed then.
+void load_tensors(const TensorFile& file, ParamStore<float>& store, bool moments = true);
 
 }  // namespace semfield
