@@ -1,7 +1,6 @@
 #include "app/serve/page_requests.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <numbers>
 #include <string>
@@ -112,11 +111,10 @@ std::optional<std::string_view> query_value(std::string_view query, std::string_
 std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most) {
   const std::optional<std::string_view> digits = query_value(query, key);
   if (!digits) return otherwise;
-  std::uint64_t value = 0;
-  const auto [end, cause] = std::from_chars(digits->data(), digits->data() + digits->size(), value);
-  if (cause != std::errc() || end != digits->data() + digits->size() || value > most)
+  const auto value = to_number<std::uint64_t>(*digits);
+  if (!value || *value > most)
     kRequest.refuse("'" + std::string(key) + "': expected a whole number from 0 to " + std::to_string(most));
-  return value;
+  return *value;
 }
 
 namespace {

@@ -2,7 +2,6 @@
 #include "config/compose.h"
 
 #include <algorithm>
-#include <charconv>
 #include <filesystem>
 #include <iterator>
 #include <string_view>
@@ -11,6 +10,7 @@
 #include <utility>
 
 #include "config/explain.h"
+#include "core/text.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -161,10 +161,7 @@ std::string joined(const std::vector<std::string>& segments, std::size_t count) 
 // The item that a segment of a key names, by index or by item_key.
 std::size_t item_of(const ConfigNode& list, const std::string& segment, const std::string& key,
                     const Location& origin) {
-  std::size_t index = 0;
-  const char* end = segment.data() + segment.size();
-  const auto parsed = std::from_chars(segment.data(), end, index);
-  if (parsed.ec == std::errc{} && parsed.ptr == end && index < list.items().size()) return index;
+  if (const auto index = to_number<std::size_t>(segment); index && *index < list.items().size()) return *index;
   std::vector<std::string> names;
   for (std::size_t i = 0; i < list.items().size(); ++i) {
     const std::string name = item_key(list, i);

@@ -332,50 +332,42 @@ bool survives_unquoted(std::string_view text) {
                      [&](char c) { return is_alnum(c) || kInside.find(c) != std::string_view::npos; });
 }
 
-void append_escape(std::string& out, unsigned code) {
+void append_escape(std::string& out, std::uint32_t code) {
   std::array<char, 12> buffer{};
   std::snprintf(buffer.data(), buffer.size(), code < 0x100 ? "\\x%02x" : "\\u%04x", code);
   out += buffer.data();
 }
 
+// What a reader would not see, or take for the end of a line: controls, separators, the byte order mark.
+bool is_unseen(std::uint32_t c) {
+  return c < 0x20 || (c >= 0x7F && c < 0xA0) || c == 0x2028 || c == 0x2029 || c == 0xFEFF;
+}
+
 std::string in_quotes(std::string_view text) {
   std::string out = "\"";
-  for (std::size_t i = 0; i < text.size(); ++i) {
-    const auto byte = static_cast<unsigned char>(text[i]);
-    const std::string_view rest = text.substr(i);
-    if (byte == '"' || byte == '\\') {
-      out += '\\';
-      out += text[i];
-    } else if (byte == '\n') {
-      out += "\\n";
-    } else if (byte == '\t') {
-      out += "\\t";
-    } else if (byte < 0x20 || byte == 0x7F) {
-      append_escape(out, byte);
-    } else if (byte == 0xC2 && rest.size() > 1 && static_cast<unsigned char>(rest[1]) < 0xA0) {  // C1 controls
-      append_escape(out, static_cast<unsigned char>(rest[1]));
-      ++i;
-    } else if (rest.starts_with("\xE2\x80\xA8") || rest.starts_with("\xE2\x80\xA9")) {  // line and paragraph separator
-      append_escape(out, rest[2] == '\xA8' ? 0x2028 : 0x2029);
-      i += 2;
-    } else if (rest.starts_with("\xEF\xBB\xBF")) {  // byte order mark
-      append_escape(out, 0xFEFF);
-      i += 2;
+  for (std::size_t i = 0, length = 0; i < text.size(); i += length) {
+    const std::size_t whole = utf8_length(text, i);
+    length = std::max<std::size_t>(whole, 1);
+    const std::uint32_t c = whole > 0 ? character_at(text.substr(i), whole) : U'?';  // what is no UTF-8 stays as it is
+    if (c == '\n' || c == '\t') {
+      out += c == '\n' ? "\\n" : "\\t";
+    } else if (is_unseen(c)) {
+      append_escape(out, c);
     } else {
-      out += text[i];
+      if (c == '"' || c == '\\') out += '\\';
+      out += text.substr(i, length);
     }
   }
   return out + "\"";
 }
 
-std::string scalar_text(const ConfigNode& node) {
-  if (node.is_null()) return "null";
-  const bool plain = !node.quoted() && survives_unquoted(node.text()) && !is_null_word(node.text());
-  return plain ? node.text() : in_quotes(node.text());
-}
-
 std::string key_text(const std::string& key) {
   return survives_unquoted(key) && !is_null_word(key) ? key : in_quotes(key);
+}
+
+std::string scalar_text(const ConfigNode& node) {
+  if (node.is_null()) return "null";
+  return node.quoted() ? in_quotes(node.text()) : key_text(node.text());
 }
 
 bool is_leaf(const ConfigNode& node) { return node.is_scalar() || node.is_null(); }
@@ -438,20 +430,13 @@ ConfigNode parse_config_text(std::string_view yaml, const std::string& name) { r
 ConfigNode parse_config_value(std::string_view yaml, const std::string& origin) { return parse(yaml, origin, true); }
 
 ConfigNode parse_config_file(const std::string& path) {
-  std::error_code unknown;
   if (is_folder(path)) {
     throw Error(ErrorKind::no_input, "config.file.folder", "'" + path + "' is a folder, not a config file",
                 fs::exists(fs::path(path) / "run.yaml")
                     ? "it is a run, whose configuration is its run.yaml"
                     : "`semfield init " + shell_word(path) + "` writes one for the scene in it");
   }
-  // One byte more than allowed is enough to see that a file is too large; devices and pipes have no size to ask for.
-  const auto size = fs::file_size(path, unknown);
-  if (!unknown && size > kMaxBytes) {
-    throw Error(ErrorKind::config, "config.file.size", path + ": larger than 1 MiB",
-                "keep big tables in files of their own");
-  }
-  return parse_config_text(read_text_file(path, kMaxBytes), path);
+  return parse_config_text(read_file_start(path, kMaxBytes + 1), path);  // enough to see that a file is too large
 }
 
 // The configuration tree: building, looking up, comparing.
@@ -524,20 +509,12 @@ ConfigNode ConfigNode::without(std::string_view key) const {
 
 bool equal_config(const ConfigNode& a, const ConfigNode& b) {
   if (a.kind() != b.kind()) return false;
-  switch (a.kind()) {
-    case ConfigNode::Kind::null:
-      return true;
-    case ConfigNode::Kind::scalar:
-      return a.text() == b.text() && (a.quoted() == b.quoted() || !looks_typed(a.text()));
-    case ConfigNode::Kind::list:
-      return std::equal(a.items().begin(), a.items().end(), b.items().begin(), b.items().end(), equal_config);
-    case ConfigNode::Kind::map:
-      return std::equal(a.entries().begin(), a.entries().end(), b.entries().begin(), b.entries().end(),
-                        [](const ConfigNode::Entry& x, const ConfigNode::Entry& y) {
-                          return x.first == y.first && equal_config(x.second, y.second);
-                        });
-  }
-  return false;
+  if (a.is_scalar()) return a.text() == b.text() && (a.quoted() == b.quoted() || !looks_typed(a.text()));
+  const auto same_entry = [](const ConfigNode::Entry& x, const ConfigNode::Entry& y) {
+    return x.first == y.first && equal_config(x.second, y.second);
+  };
+  return std::equal(a.items().begin(), a.items().end(), b.items().begin(), b.items().end(), equal_config) &&
+         std::equal(a.entries().begin(), a.entries().end(), b.entries().begin(), b.entries().end(), same_entry);
 }
 
 // From the tree back to plain YAML: block maps and lists, lists of scalars in one line.

@@ -159,10 +159,4 @@ std::vector<ConfigDifference> config_differences(const ConfigNode& a, const Conf
   return out;
 }
 
-std::string diff_config(const ConfigNode& a, const ConfigNode& b) {
-  std::string out;
-  for (const ConfigDifference& difference : config_differences(a, b)) out += difference.text() + "\n";
-  return out;
-}
-
 }  // namespace semfield

@@ -39,7 +39,5 @@ struct ConfigDifference {
 
 /// In the order of `a` and then of what only `b` has. Places and the order of keys do not count.
 std::vector<ConfigDifference> config_differences(const ConfigNode& a, const ConfigNode& b);
-/// The same, one per line; empty when nothing differs.
-std::string diff_config(const ConfigNode& a, const ConfigNode& b);
 
 }  // namespace semfield

@@ -74,12 +74,6 @@ struct Reader {
     value = node.text() == "true";
     return true;
   }
-  bool read(const ConfigNode& node, const std::string& path, const Range& range, std::int64_t& value) {
-    return read_number(node, path, range, value);
-  }
-  bool read(const ConfigNode& node, const std::string& path, const Range& range, double& value) {
-    return read_number(node, path, range, value);
-  }
   bool read(const ConfigNode& node, const std::string& path, const Range&, std::string& value) {
     if (!node.is_scalar()) return report("config.value.type", node, path, "text", kind_text(node));
     value = node.text();
@@ -112,8 +106,9 @@ struct Reader {
     return whole;
   }
 
+  // A number.
   template <class T>
-  bool read_number(const ConfigNode& node, const std::string& path, const Range& range, T& value) {
+  bool read(const ConfigNode& node, const std::string& path, const Range& range, T& value) {
     std::string remedy;
     std::optional<T> read;
     if (node.is_scalar() && !node.quoted()) read = number_of<T>(node.text(), remedy);

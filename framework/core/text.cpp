@@ -2,10 +2,8 @@
 #include "core/text.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cstdint>
 #include <iterator>
-#include <system_error>
 
 #include "core/error.h"
 
@@ -88,13 +86,6 @@ constexpr Mark kMarks[] = {
 static_assert(std::all_of(std::begin(kMarks), std::end(kMarks),
                           [](const Mark& m) { return m.letters.size() == m.composed.size(); }));
 
-std::uint32_t character_at(std::string_view text, std::size_t length) {
-  const auto byte = [&](std::size_t i) { return static_cast<std::uint32_t>(static_cast<unsigned char>(text[i])); };
-  std::uint32_t out = length == 1 ? byte(0) : byte(0) & (0xFFu >> (length + 1));
-  for (std::size_t i = 1; i < length; ++i) out = out << 6 | (byte(i) & 0x3Fu);
-  return out;
-}
-
 void append_utf8(std::uint32_t c, std::string& out) {
   if (c < 0x80) {
     out += static_cast<char>(c);
@@ -155,11 +146,9 @@ bool next_line(std::string_view& text, std::string_view& line) {
 
 bool parse_number(std::string_view word, double& out) {
   if (word.size() > 1 && word[0] == '+' && word[1] != '-') word.remove_prefix(1);
-  double value = 0;
-  const auto [end, status] = std::from_chars(word.data(), word.data() + word.size(), value);
-  if (status != std::errc{} || end != word.data() + word.size()) return false;
-  out = value;
-  return true;
+  const std::optional<double> value = to_number<double>(word);
+  if (value) out = *value;
+  return value.has_value();
 }
 
 std::string_view parse_numbers(std::string_view text, std::vector<double>& out) {
@@ -189,6 +178,13 @@ std::size_t utf8_length(std::string_view text, std::size_t i) {
     return continues(i + 1) && continues(i + 2) && continues(i + 3) && !overlong && !beyond ? 4 : 0;
   }
   return 0;
+}
+
+std::uint32_t character_at(std::string_view text, std::size_t length) {
+  const auto byte = [&](std::size_t i) { return static_cast<std::uint32_t>(static_cast<unsigned char>(text[i])); };
+  std::uint32_t out = length == 1 ? byte(0) : byte(0) & (0xFFu >> (length + 1));
+  for (std::size_t i = 1; i < length; ++i) out = out << 6 | (byte(i) & 0x3Fu);
+  return out;
 }
 
 bool is_line_of_text(std::string_view text) {

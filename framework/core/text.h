@@ -1,9 +1,13 @@
 // Words, numbers and characters of text files.
 #pragma once
 
+#include <charconv>
 #include <cstddef>
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <vector>
 
 namespace semfield {
@@ -20,6 +24,15 @@ std::vector<std::string> word_list(std::string_view text);
 /// when `text` is empty.
 bool next_line(std::string_view& text, std::string_view& line);
 
+/// The whole text as a number of this type, by std::from_chars: without blanks and plus. None for anything else, and
+/// for what the type cannot hold.
+template <class T>
+std::optional<T> to_number(std::string_view text) {
+  T value{};
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
+  return status == std::errc{} && end == text.data() + text.size() ? std::optional(value) : std::nullopt;
+}
+
 /// The whole word as a number; "nan" and "-inf" are numbers too. False (out unchanged) for anything else.
 bool parse_number(std::string_view word, double& out);
 
@@ -29,6 +42,9 @@ std::string_view parse_numbers(std::string_view text, std::vector<double>& out);
 
 /// Bytes of the character that begins at `i`, by well-formed UTF-8 [Unicode, table 3-7]; 0 where none does.
 std::size_t utf8_length(std::string_view text, std::size_t i);
+
+/// The character that the text begins with, whose bytes utf8_length counted.
+std::uint32_t character_at(std::string_view text, std::size_t length);
 
 /// True for a text of one line in well-formed UTF-8 without control characters: what names of files and classes are,
 /// which go into messages, tables and names of other files.

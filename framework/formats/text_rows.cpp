@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cctype>
-#include <charconv>
 #include <cmath>
 #include <optional>
 
@@ -70,12 +69,6 @@ bool is_formula(std::string_view text) {
 std::string csv_value(std::string field) {
   if (field.starts_with('\'') && is_formula(field)) field.erase(0, 1);
   return field;
-}
-
-template <class T>
-bool parse(std::string_view text, T& out) {
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
-  return !text.empty() && status == std::errc{} && end == text.data() + text.size();
 }
 
 }  // namespace
@@ -186,8 +179,16 @@ std::string csv_field(std::string_view value) {
   return out + "\"";
 }
 
-bool parse_whole(std::string_view text, std::int64_t& out) { return parse(text, out); }
-bool parse_real(std::string_view text, double& out) { return parse(text, out) && std::isfinite(out); }
+bool parse_whole(std::string_view text, std::int64_t& out) {
+  const auto read = to_number<std::int64_t>(text);
+  out = read.value_or(out);
+  return read.has_value();
+}
+bool parse_real(std::string_view text, double& out) {
+  const auto read = to_number<double>(text);
+  out = read.value_or(out);
+  return read && std::isfinite(*read);
+}
 
 void describe(ParamVisitor& visit, InputLimits& p) {
   SEMFIELD_PARAM(visit, p, image_axis_px, "pixels along an axis of an image", {1, 1 << 20});

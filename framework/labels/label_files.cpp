@@ -1,7 +1,6 @@
 #include "labels/label_files.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <system_error>
@@ -179,12 +178,6 @@ namespace {
   throw Error(ErrorKind::config, code, "scene.labels." + message, remedy);
 }
 
-template <class T>
-bool parse_number(std::string_view text, T& out) {
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
-  return !text.empty() && status == std::errc{} && end == text.data() + text.size();
-}
-
 std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::string>& names) {
   std::vector<int> out;
   std::vector<std::string> known;
@@ -280,13 +273,13 @@ int label_frame_count(const std::string& frames, int available) {
   if (frames == "all") return available;
   if (frames == "none") return 0;
   if (!frames.empty() && frames.back() == '%') {
-    double share = 0;
-    if (parse_number(std::string_view(frames).substr(0, frames.size() - 1), share) && share >= 0 && share <= 100) {
-      const auto count = static_cast<int>(std::floor(share / 100 * available + 0.5));
-      return share > 0 && available > 0 ? std::max(1, count) : count;
+    const auto share = to_number<double>(std::string_view(frames).substr(0, frames.size() - 1));
+    if (share && *share >= 0 && *share <= 100) {
+      const auto count = static_cast<int>(std::floor(*share / 100 * available + 0.5));
+      return *share > 0 && available > 0 ? std::max(1, count) : count;
     }
-  } else if (int count = 0; parse_number(frames, count) && count >= 0) {
-    if (count <= available) return count;
+  } else if (const auto count = to_number<int>(frames); count && *count >= 0) {
+    if (*count <= available) return *count;
     refuse("labels.frames.too_few",
            "frames: " + frames + " were asked for, and there are " + std::to_string(available) +
                " labelled training frames",

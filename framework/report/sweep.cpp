@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <cstddef>
 #include <filesystem>
@@ -18,6 +17,7 @@
 #include "config/params.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/text.h"
 #include "core/view.h"
 #include "formats/text_rows.h"
 #include "run/metrics_log.h"
@@ -243,12 +243,8 @@ class Reader {
           SweepVariant v = row;
           v.name += (v.name.empty() ? "" : ", ") + key.substr(key.rfind('.') + 1) + " " + write_config_inline(value);
           v.set.push_back({key, value});
-          if (grid.entries().size() == 1 && value.is_scalar()) {
-            double x = 0;
-            const char* end = value.text().data() + value.text().size();
-            const auto read = std::from_chars(value.text().data(), end, x);
-            if (read.ec == std::errc{} && read.ptr == end) v.x = x;
-          }
+          if (grid.entries().size() == 1 && value.is_scalar())
+            if (const auto x = to_number<double>(value.text())) v.x = x;
           next.push_back(std::move(v));
         }
       }

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <charconv>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -69,12 +68,9 @@ constexpr std::string_view kSuffix = ".safetensors";
 std::optional<std::int64_t> step_of(const std::string& name) {
   if (!name.starts_with(kPrefix) || !name.ends_with(kSuffix) || name.size() <= kPrefix.size() + kSuffix.size())
     return std::nullopt;
-  const char* begin = name.data() + kPrefix.size();
-  const char* end = name.data() + name.size() - kSuffix.size();
-  std::int64_t step = 0;
-  const auto [rest, status] = std::from_chars(begin, end, step);
-  if (status != std::errc{} || rest != end || step < 0) return std::nullopt;
-  return step;
+  const std::string_view digits(name.data() + kPrefix.size(), name.size() - kPrefix.size() - kSuffix.size());
+  const auto step = to_number<std::int64_t>(digits);
+  return step.value_or(-1) < 0 ? std::nullopt : step;
 }
 
 using Json = nlohmann::ordered_json;

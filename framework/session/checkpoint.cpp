@@ -12,6 +12,7 @@
 #include <set>
 #include <span>
 
+#include "core/text.h"
 #include "formats/text_rows.h"
 
 namespace semfield {
@@ -36,13 +37,11 @@ const std::string& text_of(const TensorFile& file, const std::string& key) {
 template <class Number>
 Number number_of(const TensorFile& file, const std::string& key) {
   const std::string& text = text_of(file, key);
-  Number value = 0;
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
-  const bool finite = std::isfinite(static_cast<double>(value));
-  if (status != std::errc{} || end != text.data() + text.size() || !finite || value < 0)
+  const auto value = to_number<Number>(text);
+  if (!value || !std::isfinite(static_cast<double>(*value)) || *value < 0)
     refuse("checkpoint.metadata.damaged", file,
            fmt::format("metadata '{}' is '{}', no number of that kind", key, text));
-  return value;
+  return *value;
 }
 
 std::optional<EventsKnown> clicks_of(const TensorFile& file) {

@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <filesystem>
 
 #include "compute/parallel.h"
+#include "core/text.h"
 #include "formats/safetensors.h"
 #include "system/checksum.h"
 #include "system/files.h"
@@ -64,10 +64,8 @@ std::size_t pixels_of(const FrameInfo& frame) {
 std::optional<std::int64_t> step_of_file(const std::string& name) {
   constexpr std::string_view kHead = "round_", kTail = ".safetensors";
   if (!name.starts_with(kHead) || !name.ends_with(kTail)) return std::nullopt;
-  std::int64_t step = 0;
-  const char* end = name.data() + name.size() - kTail.size();
-  const auto [at, status] = std::from_chars(name.data() + kHead.size(), end, step);
-  return status == std::errc{} && at == end ? std::optional(step) : std::nullopt;
+  return to_number<std::int64_t>(
+      std::string_view(name).substr(kHead.size(), name.size() - kHead.size() - kTail.size()));
 }
 
 // What a checkpoint says of the labels of a round, by the checksum of their tensors.

@@ -227,9 +227,5 @@ inline Failures field_laws(const Registry& registry, const std::string& name, co
                            const FieldBuild& build, const LawOptions& options = {}) {
   return laws_of(registry, name, settings, build, options);
 }
-inline Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                             const SamplerBuild& build, const LawOptions& options = {}) {
-  return laws_of(registry, name, settings, build, options);
-}
 
 }  // namespace semfield::testkit

@@ -788,7 +788,11 @@ TEST(Schema, CarriesSentencesAndDefaults) {
 // Explaining where values come from, and what differs between two configs.
 
 std::string diff(const std::string& a, const std::string& b) {
-  return diff_config(parse_config_text(a, "a.yaml"), parse_config_text(b, "b.yaml"));
+  std::string out;
+  for (const ConfigDifference& difference :
+       config_differences(parse_config_text(a, "a.yaml"), parse_config_text(b, "b.yaml")))
+    out += difference.text() + "\n";
+  return out;
 }
 
 TEST(Explain, EveryValueWithItsOrigin) {

@@ -7,6 +7,7 @@
 #include <charconv>
 #include <cstdlib>
 
+#include "core/text.h"
 #include "system/process.h"
 
 namespace semfield {
@@ -79,11 +80,9 @@ class Environment {
 
   int number(const char* name, int least, const std::string& what) const {
     const std::string value = text(name).value_or("");
-    int read = 0;
-    const auto [end, failed] = std::from_chars(value.data(), value.data() + value.size(), read);
-    if (failed != std::errc{} || end != value.data() + value.size() || read < least)
-      throw senseless(name, value, "is not a " + what);
-    return read;
+    const auto read = to_number<int>(value);
+    if (!read || *read < least) throw senseless(name, value, "is not a " + what);
+    return *read;
   }
 
   // Of a pair that a launcher sets together, both.
