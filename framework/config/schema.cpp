@@ -1,7 +1,6 @@
 // A JSON schema of the configuration, from the same descriptions that read it.
 #include "config/schema.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <nlohmann/json.hpp>

@@ -1,3 +1,6 @@
+// The way of a key: config/compose.cpp makes one tree of files and --set; each_section() below names every section
+// once, and by that list sections are read, validated, written to run.yaml and documented; config/params.cpp reads,
+// writes and documents the keys of one by its describe(), which stands with its struct, as in train_settings.h.
 #include "session/settings/run_config.h"
 
 #include <fmt/format.h>
