@@ -100,7 +100,6 @@ int free_port(const std::string& address, int port, bool next) {
 namespace {
 
 constexpr std::size_t kMostHeadBytes = 16384;
-constexpr std::size_t kMostChunkLine = 16;  // hexadecimal digits; extensions are refused
 constexpr std::string_view kLineEnd = "\r\n";
 
 char small(char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; }
@@ -213,9 +212,7 @@ void HttpReader::read_framing(const HttpRequest& request) {
   for (const auto& [name, value] : request.headers)
     if (name == "connection" && has_word(value, "close")) keeps_ = false;
   expects_continue_ = small_letters(request.header("expect").value_or("")) == "100-continue";
-  chunked_ = codings > 0;
-  if (chunked_ && small_letters(*request.header("transfer-encoding")) != "chunked")
-    refuse(400, "the body is encoded in another way than in chunks");
+  if (codings > 0) refuse(411, "a body needs its length: Content-Length");
   length_ = 0;
   if (lengths > 0) {
     const std::string text = *request.header("content-length");
@@ -224,40 +221,13 @@ void HttpReader::read_framing(const HttpRequest& request) {
     const auto [end, cause] = std::from_chars(text.data(), text.data() + text.size(), length_);
     if (cause != std::errc() || length_ > most_body_bytes_) refuse(413, "the body is too large");
   }
-  whole_ = !chunked_ && length_ == 0;
-}
-
-// So many of the bytes that are next.
-void HttpReader::take(std::size_t bytes, std::string& into) {
-  for (;;) {
-    const std::size_t now = std::min(bytes, unread_.size());
-    into.append(unread_, 0, now);
-    unread_.erase(0, now);
-    bytes -= now;
-    if (bytes == 0) return;
-    more_(unread_);
-  }
+  whole_ = length_ == 0;
 }
 
 void HttpReader::read_body(HttpRequest& request) {
-  if (!chunked_) take(length_, request.body);
-  for (bool last = !chunked_; !last;) {
-    std::size_t end = 0, size = 0;
-    while ((end = unread_.find(kLineEnd)) == std::string::npos && unread_.size() < kMostChunkLine + kLineEnd.size())
-      more_(unread_);
-    const char* const text = unread_.data();
-    if (end == 0 || end > kMostChunkLine) refuse(400, "a chunk's length cannot be read");
-    const auto [digits, cause] = std::from_chars(text, text + end, size, 16);
-    if (cause != std::errc() || digits != text + end) refuse(400, "a chunk's length cannot be read");
-    if (size > most_body_bytes_ - request.body.size()) refuse(413, "the body is too large");
-    unread_.erase(0, end + kLineEnd.size());
-    take(size, request.body);
-    std::string ending;
-    take(kLineEnd.size(), ending);
-    last = size == 0;
-    if (ending != kLineEnd)
-      refuse(400, last ? "headers follow the body" : "a chunk of the body has another length than it says");
-  }
+  while (unread_.size() < length_) more_(unread_);
+  request.body = unread_.substr(0, length_);
+  unread_.erase(0, length_);
   whole_ = true;
 }
 
@@ -279,6 +249,7 @@ const char* reason(int status) {
                                                   {404, "Not Found"},
                                                   {405, "Method Not Allowed"},
                                                   {408, "Request Timeout"},
+                                                  {411, "Length Required"},
                                                   {413, "Content Too Large"},
                                                   {503, "Service Unavailable"}};
   const auto found = reasons.find(status);

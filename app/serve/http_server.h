@@ -55,12 +55,11 @@ class HttpReader {
  private:
   void parse_head(std::string_view head, HttpRequest& request);
   void read_framing(const HttpRequest& request);
-  void take(std::size_t bytes, std::string& into);
 
   std::size_t most_body_bytes_;
   std::function<void(std::string&)> more_;
   std::string unread_;
-  bool keeps_ = true, expects_continue_ = false, chunked_ = false, whole_ = false, is_head_ = false;
+  bool keeps_ = true, expects_continue_ = false, whole_ = false, is_head_ = false;
   std::size_t length_ = 0;  // of the body
 };
 

@@ -101,7 +101,7 @@ Json proposal_json(const std::optional<ProposalState>& p) {
       {"id", p->id}, {"view", p->view}, {"at", {p->at.x, p->at.y}}, {"why", p->why}, {"class_guess", p->class_guess}};
 }
 
-// `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
+// `known`: the session's revision that the client has seen, 0 for none: marks that are no newer are null.
 // `first`: PageOptions::first_revision; `now`: what the client gives back as `after`.
 Json state_json(const LabelState& s, const LabelSource& source, const std::vector<ExportState>& exports,
                 const std::string& run_id, std::uint64_t known, std::uint64_t first, std::uint64_t now) {
@@ -117,11 +117,6 @@ Json state_json(const LabelState& s, const LabelSource& source, const std::vecto
   out["marks"] = nullptr;
   if (known == 0 || s.marks_revision > known)
     out["marks"] = list(s.marks, [&](const Annotations::Mark& mark) { return mark_json(mark, source); });
-  out["history"] = nullptr;
-  if (known == 0 || s.history_revision > known)
-    out["history"] = list(s.history, [](const HistoryRow& row) {
-      return Json{row.train_s, row.loss, row.psnr_db, row.clicks};
-    });
   out["exports"] = list(exports, [](const ExportState& e) {
     return Json{{"id", e.id}, {"what", e.what}, {"state", e.state}, {"text", e.text}, {"files", e.files}};
   });

@@ -16,7 +16,7 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "execution/ranks/ranks.h"
-#include "labels/clicks/click_file.h"
+#include "labels/training_labels.h"
 #include "plugin/loader.h"
 #include "scene/classes/class_table.h"
 #include "system/files.h"

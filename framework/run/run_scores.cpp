@@ -8,6 +8,8 @@
 
 #include "core/text.h"
 #include "eval/final_eval.h"
+#include "labels/training_labels.h"
+#include "plugin/loader.h"
 #include "run/run.h"
 #include "scene/classes/class_table.h"
 #include "system/files.h"

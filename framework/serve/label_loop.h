@@ -181,18 +181,13 @@ struct SeenMark {
   std::vector<PixelPoint> points;  ///< pixels of the picture
 };
 
-struct HistoryRow {
-  double train_s = 0, loss = 0, psnr_db = 0;
-  int clicks = 0;
-};
-
 /// A moment of a session; never changed once it is out.
 struct LabelState {
   std::uint64_t revision = 0;          ///< grows with every change
   std::uint64_t overlay_revision = 0;  ///< of the labels of views
   std::uint64_t overlay_events = 0;    ///< events that those labels know; `events`: all
   std::uint64_t events = 0;
-  std::uint64_t marks_revision = 0, history_revision = 0;  ///< `revision` when they changed last
+  std::uint64_t marks_revision = 0;  ///< `revision` when they changed last
   std::string name, run_dir, device;
   std::int64_t step = 0;
   double train_s = 0, loss = 0, psnr_db = 0, rays_per_s = 0;
@@ -204,7 +199,6 @@ struct LabelState {
   std::vector<ViewState> views;
   std::optional<ProposalState> proposal;
   std::vector<Annotations::Mark> marks;  ///< Mark::frame: a frame of the scene; see LabelSession::view_of
-  std::vector<HistoryRow> history;
   std::vector<std::string> notes;  ///< warnings of the scene and the run
   std::string trouble;             ///< not empty: files of the run could not be written; it goes on, and tries again
   std::string failure;             ///< not empty: training has ended with this; what was labelled is safe

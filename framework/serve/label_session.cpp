@@ -23,8 +23,8 @@
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/clicks/annotations.h"
-#include "labels/clicks/click_file.h"
 #include "labels/mask_outlines.h"
+#include "labels/training_labels.h"
 #include "serve/view_pictures.h"
 #include "system/checksum.h"
 #include "system/files.h"
@@ -40,10 +40,8 @@ constexpr double kFirstTendingShare = 0.5;   // until then
 constexpr double kLookedAtShare = 0.5;       // of the time of training, for the view that somebody looks at
 constexpr double kSlice_s = 0.03;            // of work on clicks, between steps of training
 constexpr std::size_t kLeastToFit = 10;      // clicks; and half as many again as at the last fit
-constexpr std::size_t kMostHistory = 600;
-constexpr double kHistoryEvery_s = 1;
-constexpr double kKeepAgain_s = 5;        // after files could not be written
-constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels the configuration gives
+constexpr double kKeepAgain_s = 5;           // after files could not be written
+constexpr std::size_t kGivenPixels = 48;     // of a class in a frame whose labels the configuration gives
 constexpr std::size_t kMostGiven = 6000;
 constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
@@ -154,7 +152,6 @@ void LabelRun::take(const Annotations& annotations) {
   taken_ = true;
   marked_ = sums;
   name_pixels(annotations, changed);
-  marks_ = annotations.marks().size();
   pictures_.set_marks(annotations.marks());
   if (!changed.empty() || !loop_.learned()) {
     unlearned_ = true;
@@ -232,7 +229,11 @@ bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) 
   while (made < most) {
     const std::span<const StepLosses> steps = run_->advance(most - made);
     made += std::ssize(steps);
-    show(steps);
+    for (const StepLosses& losses : steps) {
+      const double share = mse_ == 0 ? 1 : 0.05;
+      mse_ += share * (losses.mse - mse_);
+      loss_ += share * (losses.total - loss_);
+    }
     if (interrupted && interrupted()) break;
   }
   const double spent = training_.train_s() - before;
@@ -240,19 +241,6 @@ bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) 
   training_s_ += spent;
   rays_per_s_ = static_cast<double>(session().config.train.rays) / step_s_;
   return true;
-}
-
-void LabelRun::show(std::span<const StepLosses> steps) {
-  for (const StepLosses& losses : steps) {
-    const double share = mse_ == 0 ? 1 : 0.05;
-    mse_ += share * (losses.mse - mse_);
-    loss_ += share * (losses.total - loss_);
-  }
-  if (!history_.empty() && training_.train_s() - history_.back().train_s < kHistoryEvery_s) return;
-  history_.push_back({training_.train_s(), loss_, -10 * std::log10(mse_), static_cast<int>(marks_)});
-  if (history_.size() <= kMostHistory) return;
-  for (std::size_t i = 0; 2 * i + 1 < history_.size(); ++i) history_[i] = history_[2 * i + 1];
-  history_.resize(history_.size() / 2);
 }
 
 bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
@@ -301,7 +289,6 @@ void LabelRun::describe(LabelState& state) const {
   state.geometry_ready = loop_.ready() && (loop_.learned() || !unlearned_);
   state.temperature = loop_.temperature();
   state.proposal = proposal_;
-  state.history = history_;
   if (state.failure.empty())
     state.phase = !still_learns()   ? "trained; more clicks continue it"
                   : !loop_.ready()  ? "learning colour and geometry"
@@ -628,16 +615,15 @@ void LabelSession::take_events() {
   }
   taken_events_ = events;
   run_.take(*now);
-  publish_learned(true, false);
+  publish_learned(true);
 }
 
 // What `run_` has come to; `labels`: those of views are other ones.
-void LabelSession::publish_learned(bool labels, bool history) {
+void LabelSession::publish_learned(bool labels) {
   publish([&](LabelState& next) {
     run_.describe(next);
     if (run_.knows_all() && taken_events_) next.overlay_events = *taken_events_;
     if (labels) next.overlay_revision = next.revision + 1;
-    if (history) next.history_revision = next.revision + 1;
   });
 }
 
@@ -746,7 +732,7 @@ void LabelSession::run() {
     }
     untold = untold || busy || overlay;
     if (untold && (overlay || !busy || Clock::now() - published >= kPublishEvery)) {
-      publish_learned(overlay, true);
+      publish_learned(overlay);
       published = Clock::now();
       untold = false;
     }

@@ -72,7 +72,6 @@ class LabelRun {
   };
   void summarise();
   bool still_learns() const;
-  void show(std::span<const StepLosses> steps);
   void ask();
   // Once the places of the clicks are known, which are looked for for about this long; true when it has learned.
   bool learn_new(double budget_s);
@@ -93,14 +92,13 @@ class LabelRun {
   std::vector<std::uint64_t> marked_;               // frames, by a checksum of their marks, to see which have changed
   bool taken_ = false, unlearned_ = false, learned_quickly_ = false;
   std::uint64_t skips_ = 0;  // a checksum of their ids
-  std::size_t marks_ = 0, fitted_at_ = 0;
+  std::size_t fitted_at_ = 0;
   int fold_ = 0;  // of the fit that is under way
   std::vector<HeldBack> held_back_;
   std::optional<ProposalState> proposal_;
   std::uint64_t asked_ = 0;
   std::int64_t changed_step_ = -1;
   double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
-  std::vector<HistoryRow> history_;
   Summary summary_;
   std::optional<Clock::time_point> failed_to_keep_;
 };
@@ -185,7 +183,7 @@ class LabelSession final : public LabelSource {
   std::unique_ptr<Dataset> open_dataset() const;
   // Of the thread that trains: it takes clicks, serves pictures, saves, and publishes the state.
   void take_events();
-  void publish_learned(bool labels, bool history);
+  void publish_learned(bool labels);
   void serve_orders();
   void save_if_wanted();
   template <class Work>

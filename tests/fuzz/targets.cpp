@@ -466,7 +466,8 @@ void fuzz_http(std::string_view bytes) {
         told += "\n\n" + r.body + '\n';
       }
     } catch (const app::HttpRefusal& refusal) {
-      promise(refusal.status == 0 || refusal.status == 400 || refusal.status == 413, "a refusal without a status");
+      promise(refusal.status == 0 || refusal.status == 400 || refusal.status == 411 || refusal.status == 413,
+              "a refusal without a status");
       return told + "refused: " + refusal.complaint;
     }
   };

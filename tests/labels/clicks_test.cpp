@@ -7,7 +7,6 @@
 
 #include "core/error.h"
 #include "labels/clicks/annotations.h"
-#include "labels/clicks/click_file.h"
 #include "labels/clicks/click_log.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"

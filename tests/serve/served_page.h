@@ -130,7 +130,6 @@ class FakeSource final : public LabelSource {
   FakeSource() {
     LabelState s{.revision = 5,
                  .marks_revision = 4,
-                 .history_revision = 2,
                  .name = "room",
                  .run_dir = "/runs/room",
                  .phase = "learning",
@@ -139,8 +138,7 @@ class FakeSource final : public LabelSource {
                  .classes = {{0, 1, "wall", {10, 20, 30}, 0, 0.5, 0.9}, {1, 2, "chair", {200, 30, 30}, 3, 0.1, 0.4}},
                  .views = {{"a", 4, 3, 0, 0.25, true, "a1"}, {"b", 6, 4, 1, 0.5, true, "b1"}},
                  .proposal = ProposalState{"p1", 1, {2.5, 3.5}, "unseen", -1},
-                 .marks = {{"m1", 7, {{1.5, 2.5}}, 2, 1}},
-                 .history = {{1.0, 0.5, 20.0, 1}}};
+                 .marks = {{"m1", 7, {{1.5, 2.5}}, 2, 1}}};
     state_ = std::make_shared<const LabelState>(std::move(s));
   }
 

@@ -59,36 +59,12 @@ export function pictureParts(buffer) {
 
 const decoded = (bytes, type) => (bytes.length ? createImageBitmap(new Blob([bytes], {type})) : null);
 
-/// One request for a picture at a time; a newer wish takes the place of the one that waits.
-export class PictureChannel {
-  constructor(client) {
-    this.client = client;
-    this.waiting = null;
-    this.isAsking = false;
-  }
-
-  /// done(picture) with bitmaps `color`, `labels`, `entropy` or null; failed(error). Neither is called of a wish whose place a newer one took.
-  wish(request, done, failed) {
-    this.waiting = {request, done, failed};
-    if (!this.isAsking) this.next();
-  }
-
-  async next() {
-    const job = this.waiting;
-    this.waiting = null;
-    this.isAsking = job !== null;
-    if (!job) return;
-    try {
-      const answer = await postRaw('./picture', {client: this.client, ...job.request});
-      const picture = pictureParts(await body(answer, 'arrayBuffer'));
-      [picture.color, picture.labels, picture.entropy] = await Promise.all(
-        [decoded(picture.color, 'image/jpeg'), decoded(picture.labels, 'image/png'), decoded(picture.entropy, 'image/png')]);
-      job.done(picture);
-    } catch (error) {
-      job.failed(error);
-    }
-    this.next();
-  }
+/// A picture with bitmaps `color`, `labels`, `entropy` or null.
+export async function getPicture(request) {
+  const picture = pictureParts(await body(await postRaw('./picture', request), 'arrayBuffer'));
+  [picture.color, picture.labels, picture.entropy] = await Promise.all(
+    [decoded(picture.color, 'image/jpeg'), decoded(picture.labels, 'image/png'), decoded(picture.entropy, 'image/png')]);
+  return picture;
 }
 
 const kBackoff_ms = [300, 700, 1500, 3000, 5000];

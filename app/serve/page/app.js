@@ -1,5 +1,5 @@
 // The page put together: state comes in, the parts show it, keys and buttons act.
-import {PictureChannel, followState, safeStorage} from './api.js';
+import {followState, safeStorage} from './api.js';
 import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys} from './dialogs.js';
 import {byId} from './dom.js';
 import {Labeller} from './labeller.js';
@@ -20,8 +20,7 @@ class Page {
     this.session = safeStorage('sessionStorage');
     this.messages = new Messages();
     this.labeller = new Labeller(this);
-    this.channel = new PictureChannel(this.labeller.ids.tab);
-    this.pictures = new Pictures(this);
+    this.pictures = new Pictures(this, this.labeller.ids.tab);
     this.overlayEvents = new OverlayEvents();
     this.index = 0;
     this.isRendered = false;

@@ -4,7 +4,7 @@ export const byId = (id) => document.getElementById(id);
 
 /// make('button', {class: 'main', title: 'x', onclick: f}, 'text', child...)
 export function make(tag, attributes = {}, ...children) {
-  const element = tag.startsWith('svg:') ? document.createElementNS('http://www.w3.org/2000/svg', tag.slice(4)) : document.createElement(tag);
+  const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith('on')) element.addEventListener(name.slice(2), value);
     else if (value !== undefined && value !== false) element.setAttribute(name, value === true ? '' : value);

@@ -1,9 +1,9 @@
 // What is shown: the program's state with the events on top that it does not know yet. Pure.
 import {freeColor} from './dom.js';
 
-/// The state with what a newer response brings; marks and history stay where it leaves them out.
+/// The state with what a newer response brings; marks stay where it leaves them out.
 export function merged(state, answer) {
-  return {...answer, marks: answer.marks ?? state?.marks ?? [], history: answer.history ?? state?.history ?? []};
+  return {...answer, marks: answer.marks ?? state?.marks ?? []};
 }
 
 /// The name by which events say that a region is ignored: one that means "no class" to the program, and that no class has.

@@ -1,5 +1,5 @@
 // Photographs and overlays of views: fetched when a view is looked at, kept for the last few.
-import {getBlob, photoAddress} from './api.js';
+import {getBlob, getPicture, photoAddress} from './api.js';
 import {kEntropyColors} from './dom.js';
 
 const kKept = 16;
@@ -49,12 +49,14 @@ export function entropyCanvas(bitmap) {
 }
 
 export class Pictures {
-  constructor({channel, changed, messages}) {
-    Object.assign(this, {channel, changed, messages});
+  constructor({changed, messages}, client) {
+    Object.assign(this, {changed, messages, client});
     this.photos = new Recent(kKept);
     this.large = new Recent(kKeptLarge);
     this.overlays = new Recent(kKept);
     this.wished = null;
+    this.next = null;      // the newest wish takes the place of one that waits
+    this.isAsking = false;
   }
 
   /// The best photograph of the view that is there, or null; one that is sharp when it is shown `wanted_px` long is fetched.
@@ -108,11 +110,24 @@ export class Pictures {
     const key = `${view} ${entropy} ${needsColor} ${revision}`;
     if (this.wished === key) return;
     this.wished = key;
-    const request = {view, labels: true, entropy, color: needsColor, full: false};
-    this.channel.wish(request, (picture) => this.took(view, picture), (error) => {
-      setTimeout(() => { if (this.wished === key) { this.wished = null; this.changed(); } }, 1000);
-      this.messages.wrong(error);
-    });
+    this.next = {key, request: {client: this.client, view, labels: true, entropy, color: needsColor, full: false}};
+    if (!this.isAsking) this.ask();
+  }
+
+  /// One request after the other.
+  async ask() {
+    this.isAsking = true;
+    while (this.next) {
+      const {key, request} = this.next;
+      this.next = null;
+      try {
+        this.took(request.view, await getPicture(request));
+      } catch (error) {
+        setTimeout(() => { if (this.wished === key) { this.wished = null; this.changed(); } }, 1000);
+        this.messages.wrong(error);
+      }
+    }
+    this.isAsking = false;
   }
 
   took(view, picture) {
