@@ -227,8 +227,8 @@ void write_scene_page(const std::string& path, const Surface& surface, const Cla
   write_file_atomic(path, scene_page_text(surface, classes, dated));
 }
 
-std::string live_page_text(const std::string& title, const std::vector<std::string>& runs) {
-  return viewer(title, {{"live", true}, {"runs", runs}, {"ramp", ramp_text()}}, "", true);
+std::string live_page_text(const std::string& title) {
+  return viewer(title, {{"live", true}, {"ramp", ramp_text()}}, "", true);
 }
 
 std::string scene_bytes(const Surface& surface, const ClassTable& classes, const ScenePage& page,

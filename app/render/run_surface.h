@@ -45,8 +45,8 @@ std::string scene_page_text(const Surface& surface, const ClassTable& classes, c
 void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
                       const ScenePage& page);
 
-/// The page of a program that answers it: it asks for scenes itself. `runs`: their names.
-std::string live_page_text(const std::string& title, const std::vector<std::string>& runs);
+/// The page of a program that answers it: it asks for the scene itself.
+std::string live_page_text(const std::string& title);
 /// A scene for that page: the length of its facts in 4 bytes, the facts as JSON, the mesh. `more`: keys of the facts
 /// beside them, a JSON object.
 std::string scene_bytes(const Surface& surface, const ClassTable& classes, const ScenePage& page,

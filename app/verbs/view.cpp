@@ -43,7 +43,6 @@ namespace {
 struct ViewVerbOptions : Options {
   using Options::Options;
   const std::string& run = operand("run", "run folder");
-  const std::string& with = value("--with RUN", "a second run of the same scene, side by side with the first");
   const std::optional<int>& port = value_in<std::optional<int>>(
       "--port N", {}, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
   const std::string& address =
@@ -90,7 +89,6 @@ class ViewedRun {
   }
 
   std::string name() const { return page_.run; }
-  std::int64_t step() const { return run_.step; }
   // Step of the newest checkpoint in the folder.
   std::int64_t newest_step() const {
     const std::vector<CheckpointStore::Entry> all =
@@ -345,84 +343,65 @@ std::string word_in(const Json& root, const char* key) {
   return found->get<std::string>();
 }
 
-// The places of the page of one or two runs, which must outlive whoever answers by them.
-class ViewPlaces {
- public:
-  explicit ViewPlaces(const std::vector<std::unique_ptr<ViewedRun>>& runs) : runs_(runs) {}
+bool is_fine(const HttpRequest& request) { return query_number(request.query, "fine", 0, 1) == 1; }
 
-  PageHost::Places places(std::string text) const {
-    HttpResponse page{200, "text/html; charset=utf-8", std::move(text)};
-    page.own_code = true;
-    return {{"", {"GET", [page](const HttpRequest&) { return page; }}},
-            {"surface", {"GET", [this](const HttpRequest& r) { return bytes(run_of(r).scene(is_fine(r))); }}},
-            {"probability",
-             {"GET",
-              [this](const HttpRequest& r) {
-                const auto index = static_cast<int>(query_number(r.query, "class", 0, 65535));
-                return bytes(run_of(r).probability(index, is_fine(r)));
-              }}},
-            {"state", {"GET", [this](const HttpRequest&) { return get_state(); }}},
-            {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
-            {"point",
-             {"POST",
-              [this](const HttpRequest& r) {
-                const Json root = parse_request(r.body, {"run", "at"});
-                const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
-                return json_text_answer(run_of_request(root).point({at[0], at[1], at[2]}));
-              }}},
-            {"edit", {"POST", [this](const HttpRequest& r) { return post_edit(r); }}}};
+HttpResponse picture_of(ViewedRun& run, const HttpRequest& request) {
+  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "class", "near", "far"});
+  ViewPicture wanted;
+  wanted.camera = read_request_camera(kRequest.at(root, "camera"));
+  wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
+  wanted.height_px = request_number(root, "height", 1, kMostPictureSide);
+  wanted.map = word_in(root, "map");
+  const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth", "probability"};
+  if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
+    kRequest.refuse_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
+  wanted.class_index = request_number(root, "class", 0, 65535, 0);
+  if (wanted.map == "depth") {
+    wanted.near_m = real_in(root, "near", 0, 1e9);
+    wanted.far_m = real_in(root, "far", 0, 1e9);
   }
+  const std::vector<std::uint8_t> jpeg = run.picture(wanted, [&] { return request.abandoned(); });
+  return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
+}
 
- private:
-  ViewedRun& run(std::uint64_t number) const {
-    if (number >= runs_.size()) kRequest.refuse(fmt::format("run {} is not there", number), "count from 0");
-    return *runs_[number];
-  }
-  ViewedRun& run_of(const HttpRequest& request) const { return run(query_number(request.query, "run", 0, 1)); }
-  ViewedRun& run_of_request(const Json& root) const {
-    return run(static_cast<std::uint64_t>(request_number(root, "run", 0, 1)));
-  }
-  static bool is_fine(const HttpRequest& request) { return query_number(request.query, "fine", 0, 1) == 1; }
+HttpResponse edit_of(ViewedRun& run, const HttpRequest& request) {
+  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
+  bool fine = false;
+  kRequest.flag(root, "fine", fine);
+  const std::string made_on = word_in(root, "made_on");
+  root.erase("fine");
+  root.erase("made_on");
+  if (word_in(root, "do") == "undo") return json_text_answer(run.edit(std::nullopt, made_on, fine));
+  return json_text_answer(run.edit(parse_object_edit(root.dump(), "request"), made_on, fine));
+}
 
-  HttpResponse get_state() const {
-    Json runs = Json::array();
-    for (const auto& one : runs_)
-      runs.push_back({{"name", one->name()}, {"step", one->step()}, {"newest", one->newest_step()}});
-    return json_answer({{"runs", runs}});
-  }
-
-  HttpResponse post_picture(const HttpRequest& request) const {
-    const Json root = parse_request(request.body, {"run", "camera", "width", "height", "map", "class", "near", "far"});
-    ViewPicture wanted;
-    wanted.camera = read_request_camera(kRequest.at(root, "camera"));
-    wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
-    wanted.height_px = request_number(root, "height", 1, kMostPictureSide);
-    wanted.map = word_in(root, "map");
-    const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth", "probability"};
-    if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
-      kRequest.refuse_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
-    wanted.class_index = request_number(root, "class", 0, 65535, 0);
-    if (wanted.map == "depth") {
-      wanted.near_m = real_in(root, "near", 0, 1e9);
-      wanted.far_m = real_in(root, "far", 0, 1e9);
-    }
-    const std::vector<std::uint8_t> jpeg = run_of_request(root).picture(wanted, [&] { return request.abandoned(); });
-    return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
-  }
-
-  HttpResponse post_edit(const HttpRequest& request) const {
-    Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
-    bool fine = false;
-    kRequest.flag(root, "fine", fine);
-    const std::string made_on = word_in(root, "made_on");
-    root.erase("fine");
-    root.erase("made_on");
-    if (word_in(root, "do") == "undo") return json_text_answer(run(0).edit(std::nullopt, made_on, fine));
-    return json_text_answer(run(0).edit(parse_object_edit(root.dump(), "request"), made_on, fine));
-  }
-
-  const std::vector<std::unique_ptr<ViewedRun>>& runs_;
-};
+// The places of the page of a run, which must outlive whoever answers by them.
+PageHost::Places places_of(ViewedRun& run) {
+  HttpResponse page{200, "text/html; charset=utf-8", live_page_text(run.name())};
+  page.own_code = true;
+  return {{"", {"GET", [page](const HttpRequest&) { return page; }}},
+          {"surface", {"GET", [&run](const HttpRequest& r) { return bytes(run.scene(is_fine(r))); }}},
+          {"probability",
+           {"GET",
+            [&run](const HttpRequest& r) {
+              const auto index = static_cast<int>(query_number(r.query, "class", 0, 65535));
+              return bytes(run.probability(index, is_fine(r)));
+            }}},
+          {"state",
+           {"GET",
+            [&run](const HttpRequest&) {
+              return json_answer({{"newest", run.newest_step()}});
+            }}},
+          {"picture", {"POST", [&run](const HttpRequest& r) { return picture_of(run, r); }}},
+          {"point",
+           {"POST",
+            [&run](const HttpRequest& r) {
+              const Json root = parse_request(r.body, {"at"});
+              const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
+              return json_text_answer(run.point({at[0], at[1], at[2]}));
+            }}},
+          {"edit", {"POST", [&run](const HttpRequest& r) { return edit_of(run, r); }}}};
+}
 
 int run(const ViewVerbOptions& options, AppContext& context) {
   HttpOptions http;
@@ -430,23 +409,14 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   http.port = options.port.value_or(kUsualPort);
   (void)free_port(http.address, http.port, !options.port);  // before anything that takes time
   install_stop_signals(!context.quiet);
-  std::vector<std::unique_ptr<ViewedRun>> runs;
-  for (const std::string& one : {options.run, options.with})
-    if (!one.empty())
-      runs.push_back(std::make_unique<ViewedRun>(run_of(one, options.set, OpenFor::rendering, context)));
-  std::vector<std::string> names;
-  for (const auto& one : runs) names.push_back(one->name());
-  const ViewPlaces places(runs);
-  const PageHost server(new_token(), http, !options.port, "docs/guide/viewing.md",
-                        places.places(live_page_text(runs.front()->name(), names)));
+  ViewedRun viewed(run_of(options.run, options.set, OpenFor::rendering, context));
+  const PageHost server(new_token(), http, !options.port, "docs/guide/viewing.md", places_of(viewed));
   // While the browser loads the page. What fails here fails for the page too, which says why.
-  const std::jthread meshes([&runs] {
-    for (const auto& one : runs) {
-      try {
-        (void)one->scene(false);
-      } catch (const std::exception&) {
-        continue;
-      }
+  const std::jthread mesh([&viewed] {
+    try {
+      (void)viewed.scene(false);
+    } catch (const std::exception&) {
+      return;
     }
   });
   print_results(context, {{"run", options.run}, {"url", server.url()}}, "view: open " + server.url() + " in a browser");

@@ -150,7 +150,7 @@ def look(driver, path, page):
     assert view.run("return [...lightened({corners: [0, 1, 2, 1, 3, 2, 0, 1, 3], place: arguments[0]})]", place) == [0, 1, 2, 0, 1, 2]
     calls = view.run("const {calls} = semfield.drawing; semfield.drawing.slow = true; semfield.camera.turn(30, 0); semfield.change(); return calls")
     view.wait(f"semfield.drawing.calls === {calls + 2}", "a light picture, and a whole one")
-    light, whole = view.run("const {light, fine} = semfield.layers[0]; return [light.count, fine.count]")
+    light, whole = view.run("const {light, fine} = semfield.layer; return [light.count, fine.count]")
     assert 0 < light <= whole == 3 * facts["triangles"], (light, whole)
 
     before = view.run("return semfield.camera.matrices().eye")

@@ -257,17 +257,9 @@ class Drawing {
     gl.drawElements(gl.TRIANGLES, layer.triangles(light), gl.UNSIGNED_INT, 0);
     ++this.calls;
   }
-  /** One layer fills the picture; of two the first is left of `share` of the width. */
-  draw(layers, mode, matrices, share, light = false) {
-    const gl = this.gl, middle = Math.round(share * canvas.width);
+  draw(layer, mode, matrices, light = false) {
     this.clear([0.082, 0.094, 0.11, 1]);
-    if (layers.length === 1) return this.draw_layer(layers[0], mode, matrices, light);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(0, 0, middle, canvas.height);
-    this.draw_layer(layers[0], mode, matrices, light);
-    gl.scissor(middle, 0, canvas.width - middle, canvas.height);
-    this.draw_layer(layers[1], mode, matrices, light);
-    gl.disable(gl.SCISSOR_TEST);
+    this.draw_layer(layer, mode, matrices, light);
   }
   /** draw() of whole meshes, waited for: is it slow? */
   draw_fine(...what) {

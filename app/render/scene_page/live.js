@@ -2,40 +2,34 @@
 const kSizes = [240, 640, 1600];  // longest sides of rendered pictures, one after another
 
 class Live {
-  constructor(facts) {
-    this.runs = facts.runs;
-  }
-
   async ask(what, body, signal) {
     const answer = await fetch(what, body === undefined ? {signal} : {method: "POST", body: JSON.stringify(body), signal});
     if (answer.ok) return answer;
     const told = await answer.json().catch(() => ({error: `${answer.status}`}));
     throw new Error(told.remedy ? `${told.error}: ${told.remedy}` : told.error);
   }
-  /** A run's mesh, coarse at first. */
-  async scene(run, fine) {
-    const bytes = await (await this.ask(`surface?run=${run}&fine=${fine ? 1 : 0}`)).arrayBuffer();
+  /** The run's mesh, coarse at first. */
+  async scene(fine) {
+    const bytes = await (await this.ask(`surface?fine=${fine ? 1 : 0}`)).arrayBuffer();
     const head = new DataView(bytes).getUint32(0, true);
     const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, head)));
     return {facts, mesh: unpacked(await inflated(new Uint8Array(bytes, 4 + head)), facts)};
   }
   /** The fine one, with the objects as they are after every edit that was made here meanwhile. */
-  async fine_scene(run) {
+  async fine_scene() {
     for (let tries = 0;; ++tries) {
-      const scene = await this.scene(run, true), page = this.page;
-      if (run > 0 || tries > 20 || (!page.objects.saving && (tries > 0 || scene.facts.state === page.facts.state))) return scene;
+      const scene = await this.scene(true), page = this.page;
+      if (tries > 20 || (!page.objects.saving && (tries > 0 || scene.facts.state === page.facts.state))) return scene;
       await new Promise((done) => setTimeout(done, 100));
     }
   }
-  first_scenes() { return Promise.all(this.runs.map((_, run) => this.scene(run, false))); }
 
   begin(page) {
     this.page = page;
-    this.runs.reduce((before, _, run) => before.then(async () => {
-      const {facts, mesh} = await this.fine_scene(run);
-      page.replace(run, new Layer(page.drawing, facts, mesh));
-      document.body.dataset.mesh = `${run + 1} of ${this.runs.length} fine`;
-    }), Promise.resolve()).catch((error) => this.note(error.message));
+    this.fine_scene().then(({facts, mesh}) => {
+      page.replace(new Layer(page.drawing, facts, mesh));
+      document.body.dataset.mesh = "fine";
+    }).catch((error) => this.note(error.message));
     setInterval(() => this.look(), 5000);
     this.changed();
   }
@@ -47,7 +41,7 @@ class Live {
     if (!this.page) return;
     if (same_picture) return this.show();
     if (this.pending) this.pending.abort();
-    this.images = [];
+    this.image = null;
     byId("still").hidden = true;
     document.body.dataset.still = "none";
     clearTimeout(this.rest);
@@ -63,13 +57,11 @@ class Live {
     try {
       for (const size of kSizes.filter((s) => s < longest).concat(Math.min(longest, kSizes.at(-1)))) {
         const scale = Math.min(1, size / longest);
-        for (let run = 0; run < this.runs.length; ++run) {
-          const wanted = {run, camera, width: Math.max(16, Math.round(scale * canvas.width)), height: Math.max(16, Math.round(scale * canvas.height)), map: page.mode, near, far};
-          if (page.mode === "probability") wanted.class = Number(byId("of-class").value);
-          const image = await createImageBitmap(await (await this.ask("picture", wanted, pending.signal)).blob());
-          if (pending.signal.aborted) return;
-          this.images[run] = image;
-        }
+        const wanted = {camera, width: Math.max(16, Math.round(scale * canvas.width)), height: Math.max(16, Math.round(scale * canvas.height)), map: page.mode, near, far};
+        if (page.mode === "probability") wanted.class = Number(byId("of-class").value);
+        const image = await createImageBitmap(await (await this.ask("picture", wanted, pending.signal)).blob());
+        if (pending.signal.aborted) return;
+        this.image = image;
         this.show();
         document.body.dataset.still = String(Math.round(scale * canvas.width));
       }
@@ -78,28 +70,21 @@ class Live {
     }
   }
   show() {
-    const still = byId("still"), shown = (this.images ?? []).filter((image) => image);
-    if (shown.length < this.runs.length) return;
+    const still = byId("still");
+    if (!this.image) return;
     still.width = canvas.width;
     still.height = canvas.height;
-    const context = still.getContext("2d"), middle = this.runs.length > 1 ? Math.round(this.page.share * still.width) : still.width;
+    const context = still.getContext("2d");
     context.imageSmoothingQuality = "high";
-    shown.forEach((image, run) => {
-      context.save();
-      context.beginPath();
-      context.rect(run === 0 ? 0 : middle, 0, run === 0 ? middle : still.width - middle, still.height);
-      context.clip();
-      context.drawImage(image, 0, 0, still.width, still.height);
-      context.restore();
-    });
+    context.drawImage(this.image, 0, 0, still.width, still.height);
     still.hidden = false;
   }
 
   // ---- points, probabilities, objects
 
-  async ask_point(point, run) {
+  async ask_point(point) {
     try {
-      const told = await (await this.ask("point", {run, at: point.place})).json();
+      const told = await (await this.ask("point", {at: point.place})).json();
       const sure = told.classes.slice(0, 2).map(({name, probability}) => `${name} ${probability.toFixed(2)}`).join(", ");
       if (sure) point.told = told.object ? `${told.object} (${sure})` : sure;
       this.page.change(true);
@@ -108,13 +93,10 @@ class Live {
     }
   }
   async fetch_probability() {
-    const index = Number(byId("of-class").value);
-    for (let run = 0; run < this.runs.length; ++run) {
-      const layer = this.page.layers[run];
-      const bytes = new Uint8Array(await (await this.ask(`probability?run=${run}&class=${index}&fine=${layer.facts.fine ? 1 : 0}`)).arrayBuffer());
-      if (index !== Number(byId("of-class").value)) return;  // another was chosen meanwhile
-      if (bytes.length === layer.vertices) layer.set_probability(bytes);
-    }
+    const index = Number(byId("of-class").value), {layer} = this.page;
+    const bytes = new Uint8Array(await (await this.ask(`probability?class=${index}&fine=${layer.facts.fine ? 1 : 0}`)).arrayBuffer());
+    if (index !== Number(byId("of-class").value)) return;  // another was chosen meanwhile
+    if (bytes.length === layer.vertices) layer.set_probability(bytes);
     this.page.change(true);
   }
   async edit(what) {
@@ -129,9 +111,9 @@ class Live {
   async look() {
     try {
       const state = await (await this.ask("state")).json();
-      const newer = state.runs.find((run, i) => run.newest > this.page.layers[i].facts.step);
-      if (newer && !this.told_newer) this.note(`Step ${newer.newest} of ${newer.name} is there: load the page again to see it.`);
-      this.told_newer = newer !== undefined;
+      const is_newer = state.newest > this.page.facts.step;
+      if (is_newer && !this.told_newer) this.note(`Step ${state.newest} is there: load the page again to see it.`);
+      this.told_newer = is_newer;
     } catch {
       // the program has ended: what is here stays
     }

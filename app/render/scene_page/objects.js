@@ -20,7 +20,7 @@ class ObjectList {
 
   /** Another table, after an edit. `ids` [vertices]. */
   set(objects, ids) {
-    const layer = this.page.layers[0];
+    const {layer} = this.page;
     layer.facts.objects = objects;
     layer.set_objects(objects, ids);
     this.refresh();
@@ -34,7 +34,7 @@ class ObjectList {
     this.page.change();
   }
   mark_all() {
-    const layer = this.page.layers[0];
+    const {layer} = this.page;
     for (const {id} of this.rows) layer.mark(layer.things, id, this.hidden.has(id) ? kHidden : this.chosen.has(id) ? kChosen : kShown);
   }
 

@@ -24,8 +24,8 @@ function save_as(name, blob) {
 
 class Page {
   /** `live`: the program behind the page, null in a file that stands alone. */
-  constructor(drawing, layers, live) {
-    Object.assign(this, {drawing, layers, live, mode: "photo", points: [], share: 0.5, views: []});
+  constructor(drawing, layer, live) {
+    Object.assign(this, {drawing, layer, live, mode: "photo", points: [], views: []});
     this.camera = new OrbitCamera(this.facts);
     this.objects = new ObjectList(this);
     byId("title").textContent = document.title;
@@ -44,17 +44,17 @@ class Page {
     new ResizeObserver(() => this.fit()).observe(canvas);
     this.fit();
   }
-  get facts() { return this.layers[0].facts; }
+  get facts() { return this.layer.facts; }
 
   /** Another mesh of the same scene. */
-  replace(which, layer) {
-    const old = this.layers[which];
+  replace(layer) {
+    const old = this.layer;
     old.facts.classes.forEach((_, i) => layer.mark(layer.classes, i, old.classes.bytes[4 * i + 3]));
-    if (which === 0 && JSON.stringify([old.facts.low, old.facts.high]) !== JSON.stringify([layer.facts.low, layer.facts.high]))
+    if (JSON.stringify([old.facts.low, old.facts.high]) !== JSON.stringify([layer.facts.low, layer.facts.high]))
       this.camera.diagonal = distance(layer.facts.low, layer.facts.high);
     old.drop();
-    this.layers[which] = layer;
-    which === 0 ? this.objects.refresh() : this.objects.mark_all();
+    this.layer = layer;
+    this.objects.refresh();
     if (this.mode === "probability") this.live.fetch_probability();
     this.change();
   }
@@ -63,7 +63,7 @@ class Page {
     const row = (name, color, label) => {
       const box = made("input", {type: "checkbox", checked: true});
       box.addEventListener("change", () => {
-        for (const layer of this.layers) layer.mark(layer.classes, label, box.checked ? kShown : kHidden);
+        this.layer.mark(this.layer.classes, label, box.checked ? kShown : kHidden);
         this.change();
       });
       const swatch = made("span");
@@ -113,20 +113,6 @@ class Page {
     });
     stand("outside", "inside", () => this.camera.outside());
     stand("inside", "outside", () => this.camera.inside());
-    const slider = byId("slider");
-    slider.hidden = this.layers.length < 2;
-    if (slider.hidden) return;
-    this.layers.forEach((layer, i) => { slider.children[i].textContent = layer.facts.run; });
-    const slide = (share) => {
-      this.share = Math.max(0, Math.min(1, share));
-      slider.setAttribute("aria-valuenow", Math.round(100 * this.share));
-      slider.style.left = `${100 * this.share}%`;
-      this.change(true);
-    };
-    slider.addEventListener("pointerdown", (event) => slider.setPointerCapture(event.pointerId));
-    slider.addEventListener("pointermove", (event) => { if (event.buttons & 1) slide(event.clientX / canvas.clientWidth); });
-    slider.addEventListener("keydown", (event) => slide(this.share + ({ArrowLeft: -0.02, ArrowRight: 0.02}[event.key] ?? 0)));
-    slide(0.5);
   }
 
   listen_hand() {
@@ -248,24 +234,21 @@ class Page {
   /** Lighter while the camera moves, where the whole takes long, and then whole. */
   draw() {
     const camera = JSON.stringify(this.camera.state()), light = this.drawing.slow && camera !== this.drawn_from;
-    const what = [this.layers, kMode[this.mode], this.camera.matrices(), this.share];
+    const what = [this.layer, kMode[this.mode], this.camera.matrices()];
     this.drawn_from = camera;
-    for (const layer of this.layers) layer.depth_range = this.camera.depths();
+    this.layer.depth_range = this.camera.depths();
     clearTimeout(this.rest);
     if (!light) return this.drawing.draw_fine(...what);
     this.drawing.draw(...what, true);
     this.rest = setTimeout(() => this.draw(), kRest_ms);
   }
 
-  /** The layer under a place of the window. */
-  layer_at(client_x) { return this.layers.length > 1 && client_x > this.share * canvas.clientWidth ? 1 : 0; }
-
   /** What lies under a place of the window: {place, label, object}, or null. */
   read(client_x, client_y) {
-    const box = canvas.getBoundingClientRect(), layer = this.layers[this.layer_at(client_x)];
+    const box = canvas.getBoundingClientRect();
     const x = Math.floor((client_x - box.left) * canvas.width / box.width);
     const y = canvas.height - 1 - Math.floor((client_y - box.top) * canvas.height / box.height);
-    const found = this.drawing.read(layer, this.camera.matrices(), x, y);
+    const found = this.drawing.read(this.layer, this.camera.matrices(), x, y);
     if (found === null) return null;
     return {place: this.camera.unprojected(x + 0.5, y + 0.5, found[0] / 16777215), label: found[1], object: found[2]};
   }
@@ -274,8 +257,8 @@ class Page {
     const found = this.read(client_x, client_y);
     if (this.points.length === 2 || found === null) this.points = [];
     if (found !== null) this.points.push(found);
-    if (this.layer_at(client_x) === 0) this.objects.choose(found === null ? 0 : found.object, more);
-    if (this.live && found !== null) this.live.ask_point(found, this.layer_at(client_x));
+    this.objects.choose(found === null ? 0 : found.object, more);
+    if (this.live && found !== null) this.live.ask_point(found);
     this.change(true);
   }
 
@@ -311,12 +294,12 @@ class Page {
 
 async function open_page() {
   if (typeof DecompressionStream === "undefined") throw new Error("This browser is too old for this page: take one of 2023 or later.");
-  const facts = JSON.parse(byId("facts").textContent), live = facts.live ? new Live(facts) : null;
+  const facts = JSON.parse(byId("facts").textContent), live = facts.live ? new Live() : null;
   document.body.classList.toggle("inside", kInside);
   const drawing = new Drawing(bytes_of(facts.ramp));
-  const scenes = live ? await live.first_scenes() : [{facts, mesh: unpacked(await inflated(bytes_of(byId("mesh").textContent)), facts)}];
+  const scene = live ? await live.scene(false) : {facts, mesh: unpacked(await inflated(bytes_of(byId("mesh").textContent)), facts)};
   byId("mesh").remove();
-  window.semfield = new Page(drawing, scenes.map((scene) => new Layer(drawing, scene.facts, scene.mesh)), live);
+  window.semfield = new Page(drawing, new Layer(drawing, scene.facts, scene.mesh), live);
   if (live) live.begin(window.semfield);
   document.body.dataset.state = "ready";
 }
