@@ -814,22 +814,13 @@ void derive_distances(LoadedScene& scene, Evidence& seen, const SceneLoadOptions
   if (scene.near_far_from.empty()) scene.near_far_from = seen.has_depth || seen.corners ? reach.from : "1 % of far";
 }
 
-// All that the cameras may see up to far, inside what the dataset says holds it all.
+// All that the cameras may see up to far.
 Box box_of_cones(const LoadedScene& scene, const Cameras& cameras, std::string& from) {
   Box box;
   for (const FrameInfo* camera : cameras) include_frustum(box, *camera, scene.far_m);
   from = "the view cones of " + std::to_string(cameras.size()) + " training cameras up to far";
   grow(box, 0.02, scene.far_m);
-  if (scene.info.limit.empty()) return box;
-  Box cut = box;
-  for (int a = 0; a < 3; ++a) {
-    cut.lo[a] = std::max(cut.lo[a], scene.info.limit.lo[a]);
-    cut.hi[a] = std::min(cut.hi[a], scene.info.limit.hi[a]);
-    if (!(cut.lo[a] < cut.hi[a])) return box;  // another frame of reference than that of the poses
-  }
-  if (cut.lo == box.lo && cut.hi == box.hi) return box;
-  from += ", inside the scene's own limit (aabb_scale)";
-  return cut;
+  return box;
 }
 
 // What the training frames show: the points of their depth, the object before a plain background, or their view cones

@@ -55,8 +55,8 @@ class Writer {
     auto size = static_cast<std::uint32_t>(values.size());
     number(size);
   }
-  /// Whether more is written; a reader asks what is left.
-  static bool goes_on(bool wanted) { return wanted; }
+  /// Whether more follows; a reader asks what is left.
+  static bool goes_on() { return false; }
   std::vector<std::byte> bytes;
 };
 
@@ -82,7 +82,7 @@ class Reader {
     values.resize(size);
   }
   bool finished() const { return left_.empty(); }
-  bool goes_on(bool) const { return !finished(); }
+  bool goes_on() const { return !finished(); }
 
  private:
   void need(std::size_t size) const {
@@ -176,9 +176,10 @@ void walk(Stream& s, std::uint32_t version, SceneInfo& info, std::vector<ClassEn
   s.list(info.frames, 200);
   chunks.resize(info.frames.size());
   for (std::size_t i = 0; i < info.frames.size(); ++i) walk_frame(s, version, info.frames[i], chunks[i]);
-  if (s.goes_on(!info.limit.empty())) {  // scenes without a limit end here, as all did once
-    vector3(s, info.limit.lo);
-    vector3(s, info.limit.hi);
+  if (s.goes_on()) {  // a box that guessed bounds were once kept to
+    Box limit;
+    vector3(s, limit.lo);
+    vector3(s, limit.hi);
   }
 }
 

@@ -158,13 +158,12 @@ void convert_info(SceneInfo& info, const PoseConvention& convention) {
     frame.world_from_camera = converted_pose(frame.world_from_camera, convention, info.opengl_files);
   info.opengl_files = false;
   if (convention.invert_poses) {
-    info.bounds = info.limit = Box{};
+    info.bounds = Box{};
     info.near_hint_m = info.far_hint_m = 0;
   } else if (convention.pose_scale != 1) {
-    for (Box* box : {&info.bounds, &info.limit}) {
-      if (box->empty()) continue;
-      box->lo = box->lo * convention.pose_scale;
-      box->hi = box->hi * convention.pose_scale;
+    if (!info.bounds.empty()) {
+      info.bounds.lo = info.bounds.lo * convention.pose_scale;
+      info.bounds.hi = info.bounds.hi * convention.pose_scale;
     }
     // Where poses and depth were in two units, it is not known in which of them the hints were; depth tells.
     const bool depth =

@@ -465,7 +465,7 @@ void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
                           number(info.far_hint_m) + " m; they must be finite",
                       "set scene.load.near_m and scene.load.far_m");
   }
-  if (!finite(info.bounds) || !finite(info.limit))
+  if (!finite(info.bounds))
     diagnostics.error("scene.bounds.not_finite", info.name, "the dataset's bounds are not finite",
                       "set scene.load.bounds");
 }

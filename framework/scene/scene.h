@@ -48,7 +48,6 @@ struct SceneInfo {
   std::vector<FrameInfo> frames;
   ClassTable classes;      ///< empty when the scene has no labels
   Box bounds;              ///< world box of the content; empty = derive from cameras and depth
-  Box limit;               ///< world box that nothing lies outside of, as the scene's file tells; empty = not told
   bool metric = true;      ///< false: the unit is unknown (structure from motion)
   double near_hint_m = 0;  ///< 0 = none
   double far_hint_m = 0;

@@ -186,21 +186,6 @@ std::string packed_room(const std::string& folder, const PackOptions& options, i
   return path;
 }
 
-TEST(PackedScene, ALimitIsKeptAndNoLimitTakesNoBytes) {
-  const std::string path = fresh_folder("l") + "/room.semfield";
-  SceneInfo info = room_info(2);
-  const auto pack = [&] {
-    write_packed_scene(path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, {});
-    return std::filesystem::file_size(path);
-  };
-  const auto without = pack();
-  EXPECT_TRUE(PackedScene(path).info().limit.empty());
-  info.limit = {{-3, -2, -1}, {3, 2, 1}};
-  EXPECT_EQ(pack(), without + 6 * sizeof(double));
-  EXPECT_EQ(PackedScene(path).info().limit.lo, info.limit.lo);
-  EXPECT_EQ(PackedScene(path).info().limit.hi, info.limit.hi);
-}
-
 TEST(PackedScene, RoundTripIsExact) {
   PackOptions options{.depth_as_mm = false};
   const PackedScene scene(packed_room(fresh_folder("p"), options));

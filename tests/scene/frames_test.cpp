@@ -395,11 +395,10 @@ struct ObjectDataset {
   Vec3d center{1, 0.4, -2}, half{1.3, 0.4, 0.7};
   std::array<std::uint8_t, 3> background{255, 255, 255};
   double radius = 4;
-  Box limit;
   bool noisy_background = false;
 
   SceneInfo open(Diagnostics&) const {
-    SceneInfo info{.name = "object", .limit = limit};
+    SceneInfo info{.name = "object"};
     for (int i = 0; i < 40; ++i) {
       info.frames.push_back(frame_at(on_dome(i, 40, radius, center), center));
       info.frames.back().name = std::to_string(i);
@@ -470,17 +469,6 @@ TEST(SceneBounds, OtherBackgroundsLeaveTheViewCones) {
   EXPECT_TRUE(s.rig.inward);
   EXPECT_TRUE(s.extent_is_guessed);
   EXPECT_EQ(s.bounds_from, "the view cones of 35 training cameras up to far");
-}
-
-TEST(SceneBounds, TheFilesLimitCutsTheCones) {
-  ObjectDataset object{.limit = {{-3, -3, -3}, {3, 3, 3}}, .noisy_background = true};
-  Diagnostics d;
-  const LoadedScene s = load_scene(object, {}, d);
-  EXPECT_EQ(s.bounds.lo, object.limit.lo);
-  EXPECT_EQ(s.bounds.hi, object.limit.hi);
-  EXPECT_HAS(s.bounds_from, "aabb_scale");
-  object.limit = {{100, 100, 100}, {103, 103, 103}};  // of other poses
-  EXPECT_EQ(load_scene(object, {}, d).bounds_from, "the view cones of 35 training cameras up to far");
 }
 
 // Far is as good as infinity there: a pixel is measured where the bounds are, also where cameras look outward.

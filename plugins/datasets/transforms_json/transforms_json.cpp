@@ -47,7 +47,6 @@ struct TransformsIndex {
   std::vector<TransformsFrame> frames;
   bool metric = false;            ///< its poses are in metres
   std::string unclear_depth_key;  ///< a key that tells a unit of depth in a way that is not known; "" = none
-  Box limit;                      ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
   /// Of the camera that took the depth images, where it is another: its lens, and depth_from_color [4][4] by rows.
   std::optional<TransformsLens> depth_lens;
   std::vector<double> depth_from_color;
@@ -341,7 +340,6 @@ class FileReader {
     read_depth_camera(root);
     out_.metric = values_.flag(root, "metric", path_).value_or(false) || out_.metric;
     read_classes(root);
-    read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.
     const bool sound = check_keys(root, false, path_);
     SplitLists lists = read_split_lists(root);
@@ -433,34 +431,6 @@ class FileReader {
                          std::to_string(unmatched.size()) + " of " + std::to_string(list->names.size()) +
                              " names of '" + list->key + "' are no frame's, such as '" + *least + "'",
                          "write each as the 'file_path' of its frame");
-    }
-  }
-
-  // A pose's place p is scale p + offset in instant-ngp, whose scene is the cube of side aabb_scale about (0.5, 0.5,
-  // 0.5) [Mueller22]; scale and offset are 0.33 and 0.5 where the file tells no others.
-  void read_limit(const json& root) {
-    const auto side = values_.number(root, "aabb_scale", path_);
-    if (!side) return;
-    const double scale = root.contains("scale") ? values_.number(root, "scale", path_).value_or(0) : 0.33;
-    Vec3d offset{0.5, 0.5, 0.5};
-    if (root.contains("offset")) {
-      const json& given = root["offset"];
-      for (std::size_t a = 0; a < 3; ++a) {
-        const json& one = given.is_array() && given.size() == 3 ? given[a] : given;
-        if (!one.is_number()) {
-          values_.refuse(path_, "'offset' is neither a number nor a list of 3", "write [0.5, 0.5, 0.5]");
-          return;
-        }
-        offset[static_cast<int>(a)] = one.get<double>();
-      }
-    }
-    if (!(*side > 0) || !(scale > 0) || !std::isfinite(*side / scale)) {
-      values_.refuse(path_, "'aabb_scale' and 'scale' must be positive", "write \"aabb_scale\": 1 or a power of two");
-      return;
-    }
-    for (int a = 0; a < 3; ++a) {
-      out_.limit.lo[a] = (0.5 - 0.5 * *side - offset[a]) / scale;
-      out_.limit.hi[a] = (0.5 + 0.5 * *side - offset[a]) / scale;
     }
   }
 
@@ -907,7 +877,6 @@ SceneInfo find_photographs(const TransformsJsonParams& params, PosedPhotographs&
                          " depth files hold real numbers, which are taken as they are: the unit that the index states "
                          "is of integers");
   info.metric = params.metric || index.metric || has_depth;
-  info.limit = index.limit;
   return info;
 }
 

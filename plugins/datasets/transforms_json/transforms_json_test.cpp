@@ -279,28 +279,6 @@ TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
   EXPECT_EQ(info.frames[0].name, "rgb_image_99999");
 }
 
-// instant-ngp's box in the axes of the poses: (0.5 -+ aabb_scale / 2 - offset) / scale.
-TEST(TransformsJson, AabbScaleIsALimitOfTheBounds) {
-  const Scene s;
-  const auto limit_of = [&](const std::string& keys) {
-    s.index(kLens + keys, {"\"file_path\": \"a.png\""});
-    return s.open().limit;
-  };
-  EXPECT_TRUE(limit_of("").empty());
-  const Box usual = limit_of("\"aabb_scale\": 4,");
-  EXPECT_NEAR(usual.lo.x, -2 / 0.33, 1e-12);
-  EXPECT_NEAR(usual.hi.z, 2 / 0.33, 1e-12);
-  const Box moved = limit_of("\"aabb_scale\": 1, \"scale\": 0.5, \"offset\": [0.5, 0.25, 1],");
-  EXPECT_NEAR(moved.lo.x, -1, 1e-12);
-  EXPECT_NEAR(moved.lo.y, -0.5, 1e-12);
-  EXPECT_NEAR(moved.hi.z, 0, 1e-12);
-  for (const char* bad : {"\"aabb_scale\": 0,", "\"aabb_scale\": \"big\",", "\"aabb_scale\": 1, \"scale\": 0,",
-                          "\"aabb_scale\": 1, \"offset\": \"x\","}) {
-    s.index(kLens + bad, {"\"file_path\": \"a.png\""});
-    EXPECT_EQ(s.findings().error_count(), 1) << bad;
-  }
-}
-
 TEST(TransformsJson, PosesWithoutDepthAreMetricWhereTheIndexSaysSo) {
   const Scene s;
   for (const auto& [keys, metric] :
