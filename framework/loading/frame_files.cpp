@@ -231,7 +231,7 @@ const std::string* FileNames::looks_like(const std::string& folder, const std::s
 }
 
 std::string FileNames::of(const std::string& path) {
-  if (is_there(path)) return path;
+  if (path.empty() || is_there(path)) return path;
   const std::string slashed = with_slashes(path);
   const bool ascii = std::all_of(slashed.begin(), slashed.end(), [](char c) { return (c & 0x80) == 0; });
   if (ascii || is_there(slashed)) return slashed;

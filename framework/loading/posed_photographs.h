@@ -67,21 +67,22 @@ struct PosedPhotograph : FrameFiles {
   Intrinsics intrinsics = Intrinsics::stated;
   /// Sets the camera where that takes the image, once it is known to be there; false when reported under `place`.
   std::function<bool(const std::string& place, Camera& camera)> find_camera = {};
-  Pose world_from_camera;           ///< OpenCV axes, metres
-  std::vector<double> matrix = {};  ///< 16 numbers by rows, in the axes of the files, that the pose is made of
-  std::optional<Split> split = {};  ///< without one every `test_every`-th photograph is held out
+  Pose world_from_camera;                            ///< OpenCV axes, metres
+  std::vector<double> matrix = {};                   ///< 12 or 16 numbers by rows, in the axes of the files: the pose
+  std::optional<Split> split = {};                   ///< without one every `test_every`-th photograph is held out
   std::map<std::string, std::string> channels = {};  ///< .npy files of further channels, by name
 };
 
 /// What the photographs of a dataset have in common.
 struct PhotographRules {
-  FrameReadRules read = {.depth = DepthGrid::picture};    ///< unknown_labels and the unit of depth are those of parameters and photographs
-  bool opengl_files = false;   ///< of SceneInfo; `matrix` is turned
-  std::string place = {};      ///< of what is wrong with all; "": the root
-  std::string poses = {};      ///< the same of their poses, which are from there; "": `place`
-  double depth_unit_m = 0;    ///< in place of the photographs'; 0: theirs
-  bool with_masks = true;      ///< masks are looked for by the photographs' names
-  bool labels_by_name = true;  ///< label images are looked for in `label_dir`; false: the photographs name theirs
+  FrameReadRules read = {
+      .depth = DepthGrid::picture};  ///< unknown_labels and the unit of depth are those of parameters and photographs
+  bool opengl_files = false;         ///< of SceneInfo; `matrix` is turned
+  std::string place = {};            ///< of what is wrong with all; "": the root
+  std::string poses = {};            ///< the same of their poses, which are from there; "": `place`
+  double depth_unit_m = 0;           ///< in place of the photographs'; 0: theirs
+  bool with_masks = true;            ///< masks are looked for by the photographs' names
+  bool labels_by_name = true;        ///< label images are looked for in `label_dir`; false: the photographs name theirs
   std::vector<std::string> class_folders = {};  ///< in which a class table may lie; none: the root
   std::string class_file = {};                  ///< that the index names
   std::vector<ClassEntry> class_list = {};      ///< that the index holds
