@@ -21,8 +21,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::int64_t kLeastSights = 4;  // of a segment in the map of a view
-
+constexpr std::int64_t kLeastSights = 4;   // of a segment in the map of a view
 constexpr std::int64_t kLeastClicked = 6;  // points of a thing that somebody clicked: a cell and some around it
 
 class Clock {
@@ -51,8 +50,8 @@ std::vector<bool> stuff_classes(const ClassTable& classes, const std::vector<std
 TouchingCells touching_cells(const SurfaceCells& cells) {
   const std::vector<CellPair> pairs = cells.neighbours();
   TouchingCells out;
-  out.first.assign(static_cast<std::size_t>(cells.count()) + 1, 0);
-  for (std::int32_t c = 0; c < cells.count(); ++c) ++out.first[static_cast<std::size_t>(c) + 1];
+  out.first.assign(static_cast<std::size_t>(cells.count()) + 1, 1);
+  out.first[0] = 0;
   for (const CellPair& pair : pairs) {
     ++out.first[static_cast<std::size_t>(pair.a) + 1];
     ++out.first[static_cast<std::size_t>(pair.b) + 1];
@@ -132,14 +131,9 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   return found;
 }
 
-namespace {
-
-constexpr double kWayWeight = 0.25;  // of a cell's distance, beside that of places
-
-}  // namespace
-
 std::vector<std::int32_t> object_ids(Session& session, FoundObjects& objects, const RayCamera& camera,
                                      std::span<const std::int16_t> label) {
+  constexpr double kWayWeight = 0.25;  // of a cell's distance, beside that of places
   const SurfacePool& pool = objects.surface.pool;
   const SurfaceMap map = make_surface_map(*session.pipeline, camera, session.limits, 1, 0);
   const auto pixels = static_cast<std::size_t>(std::int64_t{map.width_px} * map.height_px);

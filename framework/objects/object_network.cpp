@@ -156,6 +156,17 @@ const SegmentSights& drawn_view(std::span<const SegmentSights* const> seen, cons
   return *seen[uniform_below(of_view, static_cast<std::uint64_t>(number), seen.size())];
 }
 
+// Views in which any segment is seen.
+std::vector<const SegmentSights*> seen_views(std::span<const SegmentSights> sights) {
+  std::vector<const SegmentSights*> seen;
+  for (const SegmentSights& view : sights)
+    if (!view.point.empty()) seen.push_back(&view);
+  if (seen.empty())
+    throw Error(ErrorKind::data, "objects.segments.none", "no segment lies on a surface that a training view shows",
+                "check that the segments belong to these images");
+  return seen;
+}
+
 // The updates of all steps: Adam at a rate that falls along half a cosine.
 std::vector<AdamStep> updates_of(const ObjectLearning& learning) {
   AdamParams adam;
@@ -285,19 +296,6 @@ double ObjectNetwork<Real>::step_gradients(View<const Real> points, std::span<co
   for (const double loss : losses) sum += loss;
   return sum;
 }
-
-namespace {
-// Views in which any segment is seen.
-std::vector<const SegmentSights*> seen_views(std::span<const SegmentSights> sights) {
-  std::vector<const SegmentSights*> seen;
-  for (const SegmentSights& view : sights)
-    if (!view.point.empty()) seen.push_back(&view);
-  if (seen.empty())
-    throw Error(ErrorKind::data, "objects.segments.none", "no segment lies on a surface that a training view shows",
-                "check that the segments belong to these images");
-  return seen;
-}
-}  // namespace
 
 template <class Real>
 double ObjectNetwork<Real>::gradients(std::span<const Vec3d> positions, std::span<const SegmentSights> sights,
