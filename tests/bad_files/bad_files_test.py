@@ -21,13 +21,15 @@ import zlib
 
 HERE = pathlib.Path(__file__).parent
 sys.path.insert(0, str(HERE.resolve().parent))
-from program import crc32c, png_file  # noqa: E402
+from program import crc32c, png_bytes, png_file  # noqa: E402
 
 TABLE, PROGRAM, MISSING = sys.argv[1], pathlib.Path(sys.argv[2]).resolve(), sys.argv[3:]
 
 
 class Case:
-    def __init__(self, place, name="", base="", follows=False):
+    """A case, or a base."""
+
+    def __init__(self, place, name, base, follows=False):
         self.place, self.name, self.base, self.follows, self.edits, self.words = place, name, base, follows, [], ""
         self.code, self.most_mib, self.file_kib, self.says, self.never, self.files = None, 256, 0, [], [], []
 
@@ -49,18 +51,22 @@ def read_cases(path):
     lines = iter(enumerate(path.read_text(encoding="utf-8").splitlines(), 1))
     for number, line in lines:
         place = f"{path.name}:{number}"
-        verb, _, rest = line.partition(" ")
+        begun = re.fullmatch(r"(base|case|or|then)(?: (\w+))?(?: (\w+))?(?:: (.*))?", line)
+        if begun:
+            verb, name, base, line = begun.groups()
+            if verb == "base":
+                now = bases[name] = Case(place, name, base)
+                now.words = bases[base].words if base else ""
+            else:
+                first = len(cases) if verb != "or" else first
+                base = base or (list(bases)[-1] if verb == "case" else now.base)
+                now = Case(place, name or now.name, base, verb == "then")
+                cases.append(now)
+            in_case = verb != "base"
+        verb, _, rest = (line or "").lstrip().partition(" ")
         if not verb or verb.startswith("#"):
             continue
-        if verb == "base":
-            now = bases[rest.strip()] = Case(place)
-            in_case = False
-        elif verb in ("case", "or", "then"):
-            first = len(cases) if verb != "or" else first
-            now = Case(place, *(rest.split() if verb == "case" else [rest.strip() or now.name, now.base]), verb == "then")
-            cases.append(now)
-            in_case = True
-        elif verb in ("is", "holds", "lacks", "same"):
+        if verb in ("is", "holds", "lacks", "same", "shows", "near"):
             file, _, what = rest.partition(" ")
             now.files.append((verb, file, unescaped(what)))
         elif verb in ("run", "within", "writes_within", "says", "never", "and"):
@@ -96,18 +102,37 @@ def read_cases(path):
     return bases, cases
 
 
-def png(width, height, kind, value):
-    """As the program's own writer has it: colour by the Paeth filter, everything else unfiltered."""
-    bits, color, pixel = {"gray8": (8, 0, bytes([value & 255])), "gray16": (16, 0, struct.pack(">H", value & 65535)),
-                          "rgb": (8, 2, bytes([value & 255] * 3)), "palette": (8, 3, bytes([value & 255]))}[kind]
-    rows = [b"\0" + pixel * width] * height
-    if kind == "rgb":  # what every neighbour predicts is there
-        rows = [b"\4" + (pixel if y == 0 else b"\0" * 3) + b"\0" * 3 * (width - 1) for y in range(height)]
+def numbers(words):
+    """1 2 3*7 is 1 2 7 7 7."""
+    for word in words:
+        times, _, value = word.rpartition("*")
+        yield from [float(value) if set(value) & set(".nef") else int(value)] * int(times or 1)
+
+
+def png(width, height, kind, values):
+    """A value for each pixel, or one for all. As the program's own writer has it: colour by the Paeth filter, everything else unfiltered."""
+    bits, color = {"gray8": (8, 0), "gray16": (16, 0), "rgb": (8, 2), "palette": (8, 3)}[kind]
+    pack = (lambda v: struct.pack(">H", v & 65535)) if bits == 16 else (lambda v: bytes([v & 255] * (3 if color == 2 else 1)))
+    pixels = [pack(v) for v in (values * width * height if len(values) == 1 else values)]
+    rows = [b"\0" + b"".join(pixels[width * y:width * (y + 1)]) for y in range(height)]
+    if kind == "rgb" and len(values) == 1:  # what every neighbour predicts is there
+        rows = [b"\4" + (pixels[0] if y == 0 else b"\0" * 3) + b"\0" * 3 * (width - 1) for y in range(height)]
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0))]
     if kind == "palette":
         chunks.append((b"PLTE", bytes([0, 0, 0, 255, 0, 0, 0, 255, 0])))
     chunks += [(b"IDAT", zlib.compress(b"".join(rows), 4)), (b"IEND", b"")]
     return png_file(chunks)
+
+
+def array(kind, shape, values):
+    """A file of NumPy: f4, f8, u1, u2 or i4; 2x3 numbers, or one for all."""
+    sizes = [int(size) for size in shape.split("x")]
+    values = list(numbers(values))
+    values = values * math.prod(sizes) if len(values) == 1 else values
+    head = f"{{'descr': '{'|' if kind == 'u1' else '<'}{kind}', 'fortran_order': False, 'shape': ({', '.join(map(str, sizes))},), }}"
+    head = head.ljust((len(head) + 11 + 63) // 64 * 64 - 11) + "\n"
+    code = {"f4": "f", "f8": "d", "u1": "B", "u2": "H", "i4": "i"}[kind]
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(head)) + head.encode() + struct.pack(f"<{len(values)}{code}", *values)
 
 
 def write_model(folder, error_px, *names):
@@ -164,8 +189,11 @@ def apply(edit, folder):
     elif verb == "film":  # small pictures of noise, equal numbers alike
         written = b"".join(bytes((7919 * p + 31 * int(k)) % 251 for p in range(256 * 256)) for k in text.split())
     elif verb == "image":
-        width, height, kind, value = text.split()
-        written = png(int(width), int(height), kind, int(value))
+        width, height, kind, *values = text.split()
+        written = png(int(width), int(height), kind, list(numbers(values)))
+    elif verb == "array":
+        kind, shape, *values = text.split()
+        written = array(kind, shape, values)
     elif verb == "folder":
         path.mkdir(parents=True, exist_ok=True)
     elif verb == "copy":
@@ -227,23 +255,47 @@ def run(words, folder, file_kib=0):
         return child.returncode, said.read().decode(errors="replace"), used.ru_utime + used.ru_stime, used.ru_maxrss
 
 
+def shown(path):
+    """The values of a PNG, row by row."""
+    data = png_bytes(path)
+    return list(struct.unpack(f">{len(data) // 2}H", data) if path.read_bytes()[24] == 16 else data)
+
+
+def content(path):
+    """For people."""
+    if not path.is_file():
+        return "no file"
+    return " ".join(map(str, shown(path))) if path.suffix == ".png" else path.read_text(errors="replace")[:2000]
+
+
 def is_right(root, verb, file, what):
     """Whether a file is as the case says."""
     path = root / file
+    if verb == "shows":
+        return path.is_file() and shown(path) == list(numbers(what.decode().split()))
     data = path.read_bytes().replace(os.fsencode(root), b"ROOT") if path.is_file() else b""
+    if verb == "near":
+        have, wanted = ([float(word) for word in text.split()] for text in (data, what))
+        return len(have) == len(wanted) and all(abs(a - b) < 1e-9 for a, b in zip(have, wanted))
     return {"is": data.strip() == what.strip(), "holds": path.is_file() and what in data, "lacks": not os.path.lexists(path),
             "same": path.is_file() and verb == "same" and path.read_bytes() == (root / os.fsdecode(what)).read_bytes()}[verb]
 
 
+def made_base(name, bases, folder):
+    """The folder of a base, made when its first case asks for it."""
+    made, base = folder / f"base_{name}", bases[name]
+    if not made.exists():
+        made.mkdir() if not base.base else shutil.copytree(made_base(base.base, bases, folder), made, symlinks=True)
+        for edit in base.edits:
+            apply(edit, made)
+    return made
+
+
 def problems_of(one, bases, folder):
     """What is wrong with the answer to a case, its CPU seconds and memory; None where the build reads no such file."""
-    made, root = folder / f"base_{one.base}", folder / one.name
-    if not made.exists():
-        made.mkdir()
-        for edit in bases[one.base].edits:
-            apply(edit, made)
+    root = folder / one.name
     if not one.follows:
-        shutil.copytree(made, root, symlinks=True)
+        shutil.copytree(made_base(one.base, bases, folder), root, symlinks=True)
     for edit in one.edits:
         apply(edit, root)
     code, said, cpu_s, peak_kib = run(one.words or bases[one.base].words, root, one.file_kib)
@@ -259,7 +311,8 @@ def problems_of(one, bases, folder):
     found += [f"said twice: {line}" for line in sorted({line for line in lines if lines.count(line) > 1})]
     if peak_kib > one.most_mib << 10 and "measures" not in MISSING:
         found.append(f"it took {peak_kib >> 10} MiB, and may take {one.most_mib}")
-    found += [f"{file} {verb} not: {what.decode(errors='replace')}" for verb, file, what in one.files if not is_right(root, verb, file, what)]
+    found += [f"{file} {verb} not: {what.decode(errors='replace')}; it is: {content(root / file)}"
+              for verb, file, what in one.files if not is_right(root, verb, file, what)]
     return [f"{one.place}: {one.name}: {what}\n{said}" for what in found], cpu_s, peak_kib
 
 
