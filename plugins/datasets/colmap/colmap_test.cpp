@@ -1,4 +1,4 @@
-// COLMAP models: both kinds of file say the same, lenses, sizes, labels, extent, damage.
+// COLMAP models: both kinds of file say the same, extent, damage. Lenses, sizes, labels: tests/bad_files/indexes.cases.
 #include <cstring>
 
 #include "tests/datasets/named_dataset.h"
@@ -76,21 +76,19 @@ void write_text(const std::string& folder) {
   plain_write(folder + "/points3D.txt", points);
 }
 
-// root/images/{a,b}.png at width x height, model in root/sparse/0 by `model`.
-std::string scene_folder(const std::string& name, int width, int height,
-                         const std::function<void(const std::string&)>& model) {
+// root/images/{a,b}.png of 8 x 4 pixels, model in root/sparse/0 by `model`.
+std::string scene_folder(const std::string& name, const std::function<void(const std::string&)>& model) {
   const std::string folder = fresh_folder(name);
   std::filesystem::create_directories(folder + "/images");
   std::filesystem::create_directories(folder + "/sparse/0");
   for (const char* image : {"a", "b"})
-    write_png_rgb(folder + "/images/" + image + ".png", width, height,
-                  std::vector<std::uint8_t>(static_cast<std::size_t>(3 * width * height), 9));
+    write_png_rgb(folder + "/images/" + image + ".png", 8, 4, std::vector<std::uint8_t>(96, 9));
   model(folder + "/sparse/0");
   return folder;
 }
 
-SceneInfo open(const std::string& folder, Diagnostics& diagnostics, const std::string& label_dir = "") {
-  return NamedDataset("colmap", {{"root", folder}, {"label_dir", label_dir}}).open(diagnostics);
+SceneInfo open(const std::string& folder, Diagnostics& diagnostics) {
+  return NamedDataset("colmap", {{"root", folder}}).open(diagnostics);
 }
 
 std::vector<std::string> problems(const Diagnostics& diagnostics) {
@@ -103,8 +101,8 @@ std::vector<std::string> problems(const Diagnostics& diagnostics) {
 
 TEST(Colmap, TextAndBinaryGiveTheSameScene) {
   Diagnostics d;
-  const SceneInfo binary = open(scene_folder("b", 8, 4, [](const std::string& f) { Binary().write(f); }), d);
-  const SceneInfo text = open(scene_folder("t", 8, 4, write_text), d);
+  const SceneInfo binary = open(scene_folder("b", [](const std::string& f) { Binary().write(f); }), d);
+  const SceneInfo text = open(scene_folder("t", write_text), d);
   EXPECT_EQ(problems(d), std::vector<std::string>{});
   ASSERT_EQ(binary.frames.size(), 2u);
   ASSERT_EQ(text.frames.size(), 2u);
@@ -125,7 +123,7 @@ TEST(Colmap, TextAndBinaryGiveTheSameScene) {
 
 TEST(Colmap, WorldToCameraIsInvertedAndPointsLieInFront) {
   Diagnostics d;
-  const SceneInfo info = open(scene_folder("b", 8, 4, [](const std::string& f) { Binary().write(f); }), d);
+  const SceneInfo info = open(scene_folder("b", [](const std::string& f) { Binary().write(f); }), d);
   const Pose& b = info.frames[1].world_from_camera;
   // Turned by 90 degrees about y: camera from world is x -> -z, z -> x, then moved by (1, 2, 3).
   const Vec3d p{0.3, -0.2, 5};
@@ -144,81 +142,8 @@ TEST(Colmap, WorldToCameraIsInvertedAndPointsLieInFront) {
   EXPECT_LT(info.far_hint_m, 14.0);
 }
 
-TEST(Colmap, IntrinsicsFollowTheImagesOnDisk) {
-  Diagnostics d;
-  const SceneInfo info = open(scene_folder("s", 4, 2, [](const std::string& f) { Binary().write(f); }), d);
-  EXPECT_EQ(problems(d), std::vector<std::string>{});
-  EXPECT_EQ(info.frames[0].camera.width_px, 4);
-  EXPECT_EQ(info.frames[0].camera.fx, 3.0);
-  EXPECT_EQ(info.frames[0].camera.cy, 1.125);
-  EXPECT_EQ(info.frames[0].camera.k2, -0.02);
-  EXPECT_HAS(all_said(d), "images are 4 x 2 pixels, the cameras' 8 x 4", "2 frames");
-}
-
-TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
-  const auto with_camera = [](const std::string& line) {
-    return [line](const std::string& f) {
-      write_text(f);
-      plain_write(f + "/cameras.txt", line + "\n");
-    };
-  };
-  Diagnostics d;
-  const SceneInfo info = open(scene_folder("radial", 8, 4, with_camera("7 RADIAL 8 4 6 4 2 0.1 0.2")), d);
-  EXPECT_EQ(problems(d), std::vector<std::string>{});
-  EXPECT_EQ(info.frames[0].camera.fy, 6.0);
-  EXPECT_EQ(info.frames[0].camera.cx, 4.0);
-  EXPECT_EQ(info.frames[0].camera.k1, 0.1);
-  EXPECT_EQ(info.frames[0].camera.k2, 0.2);
-  Diagnostics fitted;  // a centre that was fitted may lie anywhere
-  open(scene_folder("centre", 8, 4, with_camera("7 PINHOLE 8 4 10 10 8 4")), fitted);
-  EXPECT_EQ(problems(fitted), std::vector<std::string>{});
-  for (const char* fisheye : {"7 OPENCV_FISHEYE 8 4 6 6 4 2 0.1 0.2 0.3 0.4", "7 RADIAL_FISHEYE 8 4 6 4 2 0.1 0.2",
-                              "7 SIMPLE_RADIAL_FISHEYE 8 4 6 4 2 0.1"}) {
-    Diagnostics wide;
-    const SceneInfo seen = open(scene_folder("fisheye", 8, 4, with_camera(fisheye)), wide);
-    EXPECT_EQ(problems(wide), std::vector<std::string>{});
-    EXPECT_EQ(seen.frames[0].camera.lens, LensKind::fisheye);
-    EXPECT_EQ(seen.frames[0].camera.fy, 6.0);
-    EXPECT_EQ(seen.frames[0].camera.k1, 0.1);
-    EXPECT_EQ(seen.frames[0].camera.k4, std::string_view(fisheye).find("OPENCV") == 2 ? 0.4 : 0.0);
-  }
-}
-
-TEST(Colmap, LabelsForSomeFrames) {
-  const std::string folder = scene_folder("l", 8, 4, [](const std::string& f) { Binary().write(f); });
-  std::filesystem::create_directories(folder + "/labels");
-  Diagnostics none;
-  open(folder, none, "labels");
-  EXPECT_FINDING(none, "labels.frames.missing", "no label image for any frame", "like the images, in the same folders",
-                 ".png");
-  write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
-  plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
-  NamedDataset scene("colmap", {{"root", folder}, {"label_dir", "labels"}});
-  Diagnostics d;
-  const SceneInfo info = scene.open(d);
-  EXPECT_EQ(problems(d), std::vector<std::string>{});
-  EXPECT_HAS(d.all().back().text(), "1 of 2 frames have no label image");
-  EXPECT_FALSE(info.frames[0].has_labels);
-  EXPECT_TRUE(info.frames[1].has_labels);
-  EXPECT_EQ(info.frames[0].split, Split::test);
-  FrameBuffer pixels;
-  scene.read(1, pixels);
-  EXPECT_EQ(pixels.label, std::vector<std::int16_t>(32, 0));
-}
-
-TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
-  const std::string folder = scene_folder("m", 8, 4, [](const std::string& f) { Binary().write(f); });
-  std::filesystem::remove(folder + "/images/a.png");
-  Diagnostics d;
-  const SceneInfo info = NamedDataset("colmap", {{"root", folder}, {"missing", "skip"}}).open(d);
-  EXPECT_FALSE(d.has_errors()) << all_said(d);
-  EXPECT_HAS(all_said(d), "1 frame is left out", ": a");
-  ASSERT_EQ(info.frames.size(), 1u);
-  EXPECT_EQ(info.frames[0].name, "b");
-}
-
 TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
-  const std::string folder = scene_folder("a", 8, 4, [](const std::string& f) { Binary().write(f); });
+  const std::string folder = scene_folder("a", [](const std::string& f) { Binary().write(f); });
   const auto with = [](std::string bytes, std::size_t at, auto value) {
     std::memcpy(bytes.data() + at, &value, sizeof value);
     return bytes;
@@ -239,22 +164,6 @@ TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
     const std::string thrown = error_of([&] { open(folder, d); });
     EXPECT_HAS(thrown + all_said(d), said);
   }
-}
-
-TEST(Colmap, NamesOfOtherSystemsAreFound) {
-  const std::string folder = scene_folder("w", 8, 4, write_text);
-  std::filesystem::create_directories(folder + "/images/cafe\u0301");
-  std::filesystem::rename(folder + "/images/a.png", folder + "/images/cafe\u0301/a.png");
-  write_png_gray8(folder + "/images/dynamic_mask_b.png", 8, 4, std::vector<std::uint8_t>(32, 255));
-  plain_write(folder + "/sparse/0/images.txt", "1 1 0 0 0 0 0 0 7 caf\u00E9\\a.png\n\n2 1 0 0 0 0 0 1 7 .\\b.png\n\n");
-  Diagnostics d;
-  const SceneInfo info = open(folder, d);
-  EXPECT_EQ(problems(d), std::vector<std::string>{});
-  EXPECT_FINDING(d, "scene.mask.moving", "1 of 2 images");
-  ASSERT_EQ(info.frames.size(), 2u);
-  EXPECT_EQ(info.frames[0].name, "b");
-  EXPECT_EQ(info.frames[1].name, "a");
-  EXPECT_EQ(info.frames[1].source, folder + "/images/cafe\u0301/a.png");
 }
 
 }  // namespace

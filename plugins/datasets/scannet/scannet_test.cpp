@@ -1,7 +1,5 @@
-// Exported ScanNet scenes: cameras of two sizes, label tables, frames taken, trouble.
-#include <algorithm>
-
-#include "loading/frame_source.h"
+// Exported ScanNet scenes, whose depth and labels have sizes of their own. Tables, frames and trouble:
+// tests/bad_files/indexes.cases.
 #include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -54,13 +52,8 @@ std::string write_scannet(const std::string& name, int frames) {
   return folder;
 }
 
-NamedDataset scene_of(const std::string& folder, testkit::Settings settings = {}) {
-  settings["root"] = folder;
-  return NamedDataset("scannet", settings);
-}
-
 TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
-  NamedDataset scene = scene_of(write_scannet("s", 4));
+  NamedDataset scene("scannet", {{"root", write_scannet("s", 4)}});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
@@ -103,70 +96,6 @@ TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
     EXPECT_GE(same_instance, 1200 - 60);
     EXPECT_EQ(got.label[0], kVoid);
   }
-}
-
-TEST(Scannet, ClassesByTheTable) {
-  const std::string folder = write_scannet("c", 2);
-  Diagnostics d;
-  NamedDataset eigen = scene_of(folder, {{"class_ids", "eigen13"}});
-  const SceneInfo info = eigen.open(d);
-  ASSERT_EQ(info.classes.valid_count(), 4);  // 3, 5, 7, 12
-  EXPECT_EQ(info.classes.valid(3).id, 12);
-  EXPECT_EQ(info.classes.valid(3).name, "wall");
-  FrameBuffer pixels;
-  eigen.read(0, pixels);
-  const FrameBuffer want = render_room(room_camera(), room_pose(0));
-  const auto doors = std::count(want.label.begin(), want.label.end(), 5);  // raw id 106 has none of the 13 classes
-  EXPECT_GT(doors, 100);
-  EXPECT_NEAR(std::count(pixels.label.begin(), pixels.label.end(), kVoid), doors, 60);
-  const SceneInfo by_raw = scene_of(folder, {{"class_ids", "raw"}}).open(d);
-  ASSERT_EQ(by_raw.classes.valid_count(), 6);
-  EXPECT_EQ(by_raw.classes.valid(1).id, 102);
-  EXPECT_EQ(by_raw.classes.valid(1).name, "east wall");
-  NamedDataset elsewhere = scene_of(folder, {{"class_ids", "raw"}, {"classes", "elsewhere.tsv"}});
-  Diagnostics lost;
-  (void)load_scene(elsewhere, {}, lost);
-  EXPECT_HAS(all_said(lost), "elsewhere.tsv");
-}
-
-TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
-  const std::string folder = write_scannet("f", 11);
-  plain_write(folder + "/pose/10.txt", "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n0 0 0 1\n");
-  Diagnostics d;
-  const SceneInfo info = scene_of(folder, {{"max_frames", "5"}, {"test_every", "3"}}).open(d);
-  ASSERT_EQ(info.frames.size(), 5u);
-  const char* names[] = {"0", "30", "50", "70", "90"};  // ranks 0, 2, 4, 6, 8 of ten
-  for (std::size_t i = 0; i < 5; ++i) {
-    EXPECT_EQ(info.frames[i].name, names[i]);
-    EXPECT_EQ(info.frames[i].split, i == 2 ? Split::test : Split::train);
-  }
-  EXPECT_HAS(all_said(d), "1 of 11 frames skipped", "(10)", "5 of 10 frames with a pose are taken");
-}
-
-TEST(Scannet, WhatIsMissingIsLeftOutWhereAsked) {
-  const std::string folder = write_scannet("m", 5);
-  for (const char* gone : {"/pose/10.txt", "/depth/20.png"}) std::filesystem::remove(folder + gone);
-  NamedDataset scene = scene_of(folder, {{"missing", "skip"}});
-  Diagnostics d;
-  const LoadedScene s = load_scene(scene, {}, d);
-  ASSERT_FALSE(d.has_errors()) << all_said(d);
-  EXPECT_HAS(all_said(d), "1 of 4 frames", "1 frame is left out", ": 10");
-  ASSERT_EQ(s.info.frames.size(), 4u);
-  EXPECT_FALSE(s.info.frames[1].has_depth);
-}
-
-TEST(Scannet, SomeFramesWithoutLabels) {
-  const std::string folder = write_scannet("n", 4);
-  std::filesystem::remove(folder + "/label-filt/20.png");
-  NamedDataset scene = scene_of(folder);
-  Diagnostics d;
-  const SceneInfo info = scene.open(d);
-  EXPECT_FALSE(d.has_errors());
-  EXPECT_FALSE(info.frames[2].has_labels);
-  EXPECT_HAS(d.all().back().text(), "1 of 4 frames have no label image");
-  FrameBuffer pixels;
-  scene.read(2, pixels);
-  EXPECT_TRUE(pixels.label.empty());
 }
 
 }  // namespace
