@@ -25,15 +25,18 @@ struct Host {
   const char* (*framework)();
 };
 
-// In a build folder the package lies beside the framework's; an installed one is where Python looks.
-void add_build_folder() {
+// The package of this library's build folder, or of its prefix where Python does not look there anyway.
+void add_package_folder() {
   Dl_info self{};
-  ::dladdr(reinterpret_cast<const void*>(&add_build_folder), &self);
+  ::dladdr(reinterpret_cast<const void*>(&add_package_folder), &self);
+  const py::list path = py::module_::import("sys").attr("path");
   std::error_code unknown;
-  const std::filesystem::path folder = std::filesystem::weakly_canonical(
-      std::filesystem::path(self.dli_fname).parent_path() / SEMFIELD_PYTHON_BUILD_DIR, unknown);
-  if (semfield::is_there(folder / "semfield" / "__init__.py"))
-    py::module_::import("sys").attr("path").attr("insert")(0, folder.string());
+  for (const char* const place : {SEMFIELD_PYTHON_BUILD_DIR, SEMFIELD_PYTHON_INSTALLED_DIR}) {
+    const std::filesystem::path folder =
+        std::filesystem::weakly_canonical(std::filesystem::path(self.dli_fname).parent_path() / place, unknown);
+    if (semfield::is_there(folder / "semfield" / "__init__.py") && !path.contains(folder.string()))
+      path.attr("insert")(0, folder.string());
+  }
 }
 
 // Extension modules look for Python's functions among those that all libraries share, and this library was loaded for
@@ -57,7 +60,7 @@ void start_python() {
   if (PyStatus_Exception(status) != 0)
     throw Error(ErrorKind::unavailable, "python.interpreter.failed",
                 std::string("Python cannot be started: ") + status.err_msg, kRemedy);
-  add_build_folder();
+  add_package_folder();
   PyEval_SaveThread();
 }
 

@@ -10,6 +10,7 @@ import dataclasses
 import importlib.util
 import os
 import sys
+import types
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar
 
 import numpy as np
@@ -345,18 +346,26 @@ def plugins() -> List[Tuple[str, str, str, str]]:
     return list(_core.plugin_names())
 
 
-def load_plugin(file: PathLike) -> None:
+def load_plugin(file: PathLike) -> Optional[types.ModuleType]:
     """Loads a file of plugins, Python (idea.py) or C++ (libidea.so), as ``--plugin`` does; a second time changes nothing.
+
+    Returns:
+        The module of a file of Python; None for one of C++.
 
     Raises:
         UnavailableError: the file is not there, raises, or defines no plugin.
     """
     _core.load_plugin(os.fspath(file))
+    return sys.modules.get(_module_name(os.fspath(file)))
+
+
+def _module_name(path: str) -> str:
+    return f"semfield_plugin_{abs(hash(os.path.realpath(path))):x}"
 
 
 def _run_file(path: str) -> None:
     """Runs a file that defines plugins, under a name of its own."""
-    name = f"semfield_plugin_{abs(hash(path)):x}"
+    name = _module_name(path)
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path}: not a file of Python", code="plugin.python.file")

@@ -429,8 +429,8 @@ def test_a_run_needs_only_the_files_that_it_names(idea: Path, scene: sf.Scene, t
 
 
 def test_a_loaded_file_stays(idea: Path, scene: sf.Scene) -> None:
-    sf.load_plugin(idea)
-    sf.load_plugin(str(idea))  # again: nothing
+    module = sf.load_plugin(idea)
+    assert module is not None and module.__file__ == str(idea) and module is sf.load_plugin(str(idea))  # again: nothing
     assert [p[3] for p in sf.plugins() if p[1] == "other_squares"] == ["other_idea.py"]
     assert trained(sf.open(with_position(scene, type="other_squares")), 1)[0].step == 1
 
