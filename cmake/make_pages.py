@@ -279,10 +279,10 @@ def codes_page(root):
 
 
 HEADERS = [
-    ("For plugins", ["plugin/module.h", "plugin/encoder.h", "plugin/field.h", "plugin/mlp/field.h", "plugin/sampler.h", "plugin/head.h", "plugin/loss.h",
+    ("For plugins", ["plugin/parametric.h", "core/workspace.h", "plugin/module.h", "plugin/encoder.h", "plugin/field.h", "plugin/mlp/field.h", "plugin/sampler.h", "plugin/head.h", "plugin/loss.h",
                      "scene/dataset.h", "plugin/grouping.h", "plugin/registry.h", "plugin/kernels.h", "loading/posed_photographs.h",
                      "labels/label_files.h", "config/params.h", "core/view.h", "core/error.h", "core/rng.h"]),
-    ("For programs", ["session/trainer.h", "run/run.h", "eval/field_points.h", "scene/camera.h"]),
+    ("For programs", ["session/trainer.h", "run/run.h", "eval/evaluator.h", "eval/field_points.h", "scene/camera.h"]),
 ]
 
 
@@ -318,6 +318,8 @@ def main():
             if os.path.isfile(os.path.join(REPOSITORY, linked)) and linked not in pages and not linked.startswith("docs/"):  # sources
                 pathlib.Path(out, linked).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(os.path.join(REPOSITORY, linked), os.path.join(out, linked))
+            elif os.path.isdir(os.path.join(REPOSITORY, linked)):
+                shutil.copytree(os.path.join(REPOSITORY, linked), os.path.join(out, linked), ignore=shutil.ignore_patterns("*.md"), dirs_exist_ok=True)
 
 
 if __name__ == "__main__":

@@ -50,7 +50,8 @@ namespace semfield::app {
 namespace {
 
 // What the process that asks the laws says to the one that started it: an object per line. "begun" and "ended" hold a
-// row; "told" says that it ends by an error, which it prints; "done" says that every law was asked.
+// row, "law" the name of one of its laws; "told" says that it ends by an error, which it prints; "done" says that every
+// law was asked.
 void send(int pipe, const char* what, const nlohmann::json& value) {
   const std::string line =
       nlohmann::json{{what, value}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
@@ -65,6 +66,7 @@ void send(int pipe, const char* what, const nlohmann::json& value) {
 void ask(int pipe, const std::function<void(LawRequest&)>& laws) {
   LawRequest request;
   request.on_begin = [&](const LawRow& row) { send(pipe, "begun", row); };
+  request.on_law = [&](const std::string& law) { send(pipe, "law", law); };
   request.on_row = [&](const LawRow& row) { send(pipe, "ended", row); };
   try {
     laws(request);
@@ -102,6 +104,7 @@ int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&
   }
   pipe.write = -1;
   std::optional<LawRow> under_way;
+  std::string law;
   bool begun = false, told = false, done = false;
   std::FILE* const lines = fdopen(dup(pipe.read), "r");
   char* line = nullptr;
@@ -109,6 +112,8 @@ int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&
     const nlohmann::json said = nlohmann::json::parse(line, nullptr, false);
     if (!said.is_object()) continue;
     if (said.contains("begun")) under_way = said["begun"].get<LawRow>();
+    if (said.contains("begun")) law.clear();
+    if (said.contains("law")) law = said["law"].get<std::string>();
     begun = begun || under_way;
     if (said.contains("ended")) {
       under_way.reset();
@@ -131,7 +136,8 @@ int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&
   }
   LawRow row = under_way.value_or(LawRow{});
   row.status = LawStatus::failed;
-  row.found = {how_it_ended(status) + " before the law was asked to its end"};
+  row.found = {how_it_ended(status) +
+               (law.empty() ? " before the law was asked to its end" : " in the law '" + law + "'")};
   on_row(row);
   return 0;
 }

@@ -22,10 +22,10 @@ using PythonLoader = void (*)(Registry& registry, const std::string& path);
 
 /// check_module_file, dlopen(RTLD_NOW | RTLD_LOCAL), register_module; never unloaded. A file that the registry has
 /// already is left at that. A file NAME.py is run by `python`, that of a process that is Python's, or where it is null
-/// by libsemfield_python.so, which embeds it. Its code runs, so `path` comes from who started the program. What was asked for by path must load: throws Error(unavailable)
-/// with a sentence that names both sides (missing file, no plugin, other API, other ABI, throwing registration,
-/// duplicate name). An exception out of a static initialiser cannot be caught
-/// here: it ends the program through std::terminate, whose handler may ask module_being_loaded().
+/// by libsemfield_python.so, which embeds it. Its code runs, so `path` comes from who started the program. What was
+/// asked for by path must load: throws Error(unavailable) with a sentence that names both sides (missing file, no
+/// plugin, other API, other ABI, throwing registration, duplicate name). An exception out of a static initialiser
+/// cannot be caught here: it ends the program through std::terminate, whose handler may ask module_being_loaded().
 void load_module(Registry& registry, const std::string& path, PythonLoader python = nullptr);
 
 /// A module that a configuration names, which may come from anybody. What is loaded is the module of its file name that
@@ -60,7 +60,7 @@ void warn_of_other_modules(const std::map<std::string, std::string>& trained, co
                            Diagnostics& diagnostics);
 
 // What a check of plugins against the laws of their kinds hands over: the laws are a library of their own
-// (libsemfield_laws.so, from testkit/law_suite.cpp), loaded when asked for.
+// (libsemfield_laws.so, the testkit), loaded when asked for.
 
 enum class LawStatus : std::uint8_t {
   passed,
@@ -80,10 +80,11 @@ struct LawRow {
 
 struct LawRequest {
   std::vector<const PluginEntry*> entries;
-  std::string settings_file;                    ///< lines as in conformance.txt; "": the defaults
-  std::vector<std::string> scene;               ///< "root=room": parameters of the datasets among the entries
-  std::string folder;                           ///< that relative paths of `scene` start at
-  std::function<void(const LawRow&)> on_begin;  ///< of a row whose laws are asked now; may be empty
+  std::string settings_file;                           ///< lines as in conformance.txt; "": the defaults
+  std::vector<std::string> scene;                      ///< "root=room": parameters of the datasets among the entries
+  std::string folder;                                  ///< that relative paths of `scene` start at
+  std::function<void(const LawRow&)> on_begin;         ///< of a row whose laws are asked now; may be empty
+  std::function<void(const std::string& law)> on_law;  ///< of the row, asked now; may be empty
   std::function<void(const LawRow&)> on_row;
 };
 

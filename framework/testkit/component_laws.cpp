@@ -39,19 +39,26 @@ class ComponentLaws {
 
   /// All of them; `steady_rows` is the batch whose third step may allocate nothing.
   void of_every_kind(std::int64_t steady_rows) {
+    options_.begin("what is written");
     for (const std::int64_t rows : kRowCounts) {
       written<float>(rows, 0);
       written<float>(rows, kPadding);
       written<double>(rows, kPadding);
     }
     written<float>(options_.many_rows, 0);
-    parts<float>();
-    parts<double>();
-    gradients();
-    accumulation();
-    precision();
+    ask("split batch", &ComponentLaws::parts<float>);
+    ask("split batch", &ComponentLaws::parts<double>);
+    ask("gradients", &ComponentLaws::gradients);
+    ask("gradients accumulate", &ComponentLaws::accumulation);
+    ask("float against double", &ComponentLaws::precision);
+    options_.begin("steady state");
     steady_state(steady_rows);
-    scratch();
+    ask("scratch_bytes", &ComponentLaws::scratch);
+  }
+  template <class Laws>
+  void ask(const char* law, void (Laws::*body)()) {
+    options_.begin(law);
+    (static_cast<Laws&>(*this).*body)();
   }
   void note(const std::string& law, const std::string& sentence) { note_failure(failures, law, sentence); }
 
@@ -271,10 +278,10 @@ class EncoderLaws : public ComponentLaws<EncoderBench, Encoder, EncoderBuild> {
 
   Failures run() {
     of_every_kind(options_.many_rows);
-    permuted<float>();
-    permuted<double>();
-    without_others();
-    threads();
+    ask("permuted rows", &EncoderLaws::permuted<float>);
+    ask("permuted rows", &EncoderLaws::permuted<double>);
+    ask("gradients without dx", &EncoderLaws::without_others);
+    ask("1 and 3 threads", &EncoderLaws::threads);
     return failures;
   }
 
@@ -331,19 +338,19 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
 
   Failures run() {
     of_every_kind(257);
-    colours<float>();
-    colours<double>();
-    direction<float>();
-    direction<double>();
-    unwanted();
-    absent_gradients();
+    ask("colour", &FieldLaws::colours<float>);
+    ask("colour", &FieldLaws::colours<double>);
+    ask("direction", &FieldLaws::direction<float>);
+    ask("direction", &FieldLaws::direction<double>);
+    ask("others unwanted", &FieldLaws::unwanted);
+    ask("absent gradients", &FieldLaws::absent_gradients);
     FieldBench<float> once = bench<float>(options_.many_rows), again = bench<float>(options_.many_rows);
     step(once);
     step(again);
     same_again("again, ", again, once);
-    layers();
-    products();
-    unsaved();
+    ask("layers", &FieldLaws::layers);
+    ask("products", &FieldLaws::products);
+    ask("without saved memory", &FieldLaws::unsaved);
     return failures;
   }
 
@@ -526,7 +533,7 @@ class HeadLaws : public ComponentLaws<HeadBench, Head, HeadBuild> {
       if (width != build_.width) note("width", std::to_string(width) + " columns, not " + std::to_string(build_.width));
     }
     of_every_kind(257);
-    linear();
+    ask("the output is linear", &HeadLaws::linear);
     return failures;
   }
 

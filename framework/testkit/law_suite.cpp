@@ -1,4 +1,4 @@
-// The laws of every kind on plugins that a registry has: what `semfield plugins check` runs.
+// The laws of every kind on plugins that a registry has: what `semfield plugins check` and tests of plugins run.
 #include <algorithm>
 #include <map>
 
@@ -10,8 +10,9 @@ namespace semfield::testkit {
 namespace {
 
 /// Plugins that take long (PluginEntry::slow) are asked less often, not less strictly.
-LawOptions options_of(const PluginEntry& entry) {
+LawOptions options_of(const PluginEntry& entry, const LawRequest& request) {
   LawOptions options;
+  options.on_law = request.on_law;
   // Elements of each tensor that central differences check: the more, the cheaper a call is.
   options.gradient_elements = entry.slow                                                            ? 4
                               : entry.kind == PluginKind::field                                     ? 6
@@ -30,8 +31,7 @@ std::string text_of(const Settings& settings) {
 std::vector<std::string> parameters_of(const PluginEntry& entry) {
   std::vector<std::string> names;
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  for (const ParamDoc& doc : describe_params(described(*params)))
-    names.push_back(doc.name);
+  for (const ParamDoc& doc : describe_params(described(*params))) names.push_back(doc.name);
   return names;
 }
 
@@ -44,8 +44,8 @@ bool has_all(const PluginEntry& entry, const Settings& settings) {
 
 class Suite {
  public:
-  Suite(const Registry& registry, const LawRequest& request) : registry_(registry), request_(request) {
-    if (!request.settings_file.empty()) lines_ = read_settings_lines(request.settings_file);
+  Suite(const Registry& registry, const LawRequest& request, std::vector<SettingsLine> lines)
+      : registry_(registry), request_(request), lines_(std::move(lines)) {
     require_fit();
     read_scene();
   }
@@ -62,9 +62,11 @@ class Suite {
         if (entry->kind == PluginKind::dataset)
           alone([&] { return dataset_laws(registry_, entry->name, settings, DatasetBuild{request_.folder}); });
         if (entry->kind == PluginKind::loss)
-          alone([&] { return loss_laws(registry_, entry->name, settings, options_of(*entry)); });
+          alone([&] { return loss_laws(*entry->loss(*make_params(*entry, settings)), options_of(*entry, request_)); });
         if (entry->kind == PluginKind::grouping)
-          alone([&] { return grouping_laws(registry_, entry->name, settings, options_of(*entry)); });
+          alone([&] {
+            return grouping_laws(*entry->grouping(*make_params(*entry, settings)), options_of(*entry, request_));
+          });
       }
     }
   }
@@ -172,7 +174,7 @@ class Suite {
         continue;
       }
       ++accepted;
-      tell(std::move(row), [&] { return laws_of(*twins.single, *twins.oracle, build, options_of(entry)); });
+      tell(std::move(row), [&] { return laws_of(*twins.single, *twins.oracle, build, options_of(entry, request_)); });
     }
   }
   const Registry& registry_;
@@ -183,9 +185,26 @@ class Suite {
 
 }  // namespace
 
+Failures plugin_laws(const Registry& registry, PluginKind kind, const std::string& name, const Settings& settings) {
+  Failures failures;
+  LawRequest request;
+  request.entries = {&registry.get(kind, name)};
+  request.settings_file = "settings";
+  request.on_row = [&](const LawRow& row) {
+    if (row.status != LawStatus::failed) return;
+    for (const std::string& sentence : row.found)
+      failures.push_back(row.build.empty() ? sentence : row.build + ", " + sentence);
+  };
+  Suite(registry, request, {{1, settings}}).run();
+  return failures;
+}
+
 }  // namespace semfield::testkit
 
 extern "C" void semfield_law_suite(const semfield::Registry& registry, const semfield::LawRequest& request);
 void semfield_law_suite(const semfield::Registry& registry, const semfield::LawRequest& request) {
-  semfield::testkit::Suite(registry, request).run();
+  using namespace semfield::testkit;
+  Suite(registry, request,
+        request.settings_file.empty() ? std::vector<SettingsLine>{} : read_settings_lines(request.settings_file))
+      .run();
 }

@@ -68,6 +68,11 @@ struct LawOptions {
   /// Same bits of gradients that are sums over rows, in every run. Not so where rows are added as they come: then
   /// within float_tolerance.
   bool same_bits_of_sums = true;
+  /// Called with the name of each law before it is asked; may be empty.
+  std::function<void(const std::string& law)> on_law{};
+  void begin(const std::string& law) const {
+    if (on_law) on_law(law);
+  }
 };
 
 /// Where a component of this precision has its scratch: the oracle in double always computes on the host.
@@ -110,14 +115,10 @@ Failures head_laws(const Head<float>& head32, const Head<double>& head64, const 
 /// the scale, the loss has not; rays independent (same bits of gradients); no ray, no loss; without a target that it
 /// names, and for rays without a label, exactly 0; extremes stay finite.
 Failures loss_laws(const Loss& loss, const LawOptions& options = {});
-Failures loss_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                   const LawOptions& options = {});
 
 /// Gradients against central differences; float agrees with double; gradients accumulate and have the scale, the loss
 /// has not; numbers of segments mean nothing; no points, no loss; extremes stay finite; equal outputs have one place.
 Failures grouping_laws(const Grouping& grouping, const LawOptions& options = {});
-Failures grouping_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                       const LawOptions& options = {});
 
 struct DatasetExpectation {
   int frames = -1;                ///< exact number of frames, -1 = at least one
@@ -132,6 +133,11 @@ struct DatasetExpectation {
 Failures dataset_laws(Dataset& dataset, const DatasetExpectation& expected = {});
 Failures dataset_laws(const Registry& registry, const std::string& name, const Settings& settings,
                       const DatasetBuild& build, const DatasetExpectation& expected = {});
+
+/// Every law of a plugin of the registry, its declaration's included, in each way in which it is built for the CPU:
+/// what `semfield plugins check` asks. A dataset needs the settings that name its scene. Throws Error for a plugin that
+/// is not there, settings that it has not, and a scene that it cannot open.
+Failures plugin_laws(const Registry& registry, PluginKind kind, const std::string& name, const Settings& settings = {});
 
 // The ways in which plugins are built for their laws, and their twins in double on the CPU.
 
@@ -210,22 +216,6 @@ void with_builds(const Registry& registry, PluginKind kind, const std::string& n
   if (kind == PluginKind::field) body(field_builds(registry, name, device));
   if (kind == PluginKind::sampler) body(std::vector{sampler_build(device)});
   if (kind == PluginKind::head) body(head_builds(device));
-}
-
-/// The laws of a plugin of the registry.
-template <class Build>
-Failures laws_of(const Registry& registry, const std::string& name, const Settings& settings, const Build& build,
-                 const LawOptions& options = {}) {
-  const auto twins = make_twins(registry, name, settings, build);
-  return laws_of(*twins.single, *twins.oracle, build, options);
-}
-inline Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                             const EncoderBuild& build, const LawOptions& options = {}) {
-  return laws_of(registry, name, settings, build, options);
-}
-inline Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                           const FieldBuild& build, const LawOptions& options = {}) {
-  return laws_of(registry, name, settings, build, options);
 }
 
 }  // namespace semfield::testkit

@@ -58,6 +58,11 @@ View<const Real> column(const std::vector<Real>& v) {
 class Notes {
  protected:
   explicit Notes(const LawOptions& options) : options_(options) {}
+  template <class Laws>
+  void ask(const char* law, void (Laws::*body)()) {
+    options_.begin(law);
+    (static_cast<Laws&>(*this).*body)();
+  }
   void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
   void require(bool holds, const std::string& law, const std::string& sentence) {
     if (!holds) note(law, sentence);
@@ -94,11 +99,12 @@ class Notes {
   Failures failures_;
 };
 
-class GroupingLaws : Notes {
+class GroupingLaws : public Notes {
  public:
   GroupingLaws(const Grouping& grouping, const LawOptions& options) : Notes(options), grouping_(grouping) {}
 
   Failures run() {
+    options_.begin("gradients");
     require(grouping_.width() > 0, "width", "no outputs");
     require(grouping_.slow_share() >= 0 && grouping_.slow_share() < 1, "slow share", "not in [0, 1)");
     Points<double> at = points<double>(24), moved = at;
@@ -109,12 +115,13 @@ class GroupingLaws : Notes {
     };
     note("gradients",
          check_gradient(value, at.view(at.rows), moved.view(moved.gradient), {1e-6, 1e-6, 200, options_.seed}));
+    options_.begin("float against double");
     float_against_double(points<float>(97), points<double>(97), grouping_, gradients<float>(), gradients<double>());
     accumulate(points<double>(31), grouping_, gradients<double>());
-    numbers_of_segments();
-    nothing();
-    extremes();
-    placed();
+    ask("numbers of segments", &GroupingLaws::numbers_of_segments);
+    ask("no points", &GroupingLaws::nothing);
+    ask("extremes", &GroupingLaws::extremes);
+    ask("place", &GroupingLaws::placed);
     return failures_;
   }
 
@@ -169,12 +176,6 @@ Failures grouping_laws(const Grouping& grouping, const LawOptions& options) {
   return GroupingLaws(grouping, options).run();
 }
 
-Failures grouping_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                       const LawOptions& options) {
-  const PluginEntry& entry = registry.get(PluginKind::grouping, name);
-  return grouping_laws(*entry.grouping(*make_params(entry, settings)), options);
-}
-
 // The laws of losses.
 
 namespace {
@@ -191,7 +192,7 @@ std::vector<Gradient<LossRays<Real>, Real>> every_gradient(const std::string& he
   return all;
 }
 
-class LossLaws : Notes {
+class LossLaws : public Notes {
  public:
   LossLaws(const Loss& loss, const LawOptions& options, bool soft_labels)
       : Notes(options), loss_(loss), traits_(loss.traits()), further_(traits_), soft_(soft_labels) {
@@ -201,16 +202,17 @@ class LossLaws : Notes {
   }
 
   Failures run() {
-    declared();
-    central_differences();
-    moves();
+    ask("counted rays", &LossLaws::declared);
+    ask("gradients", &LossLaws::central_differences);
+    ask("traits", &LossLaws::moves);
+    options_.begin("float against double");
     float_against_double(rays<float>(lengths_), rays<double>(lengths_), loss_, gradients<float>(), gradients<double>());
     accumulate(rays<double>(lengths_), loss_, gradients<double>());
-    rays_alone();
-    nothing();
+    ask("rays are independent", &LossLaws::rays_alone);
+    ask("no ray", &LossLaws::nothing);
     without_targets();
-    unlabelled();
-    extremes();
+    ask("rays without a label", &LossLaws::unlabelled);
+    ask("extremes", &LossLaws::extremes);
     return failures_;
   }
 
@@ -295,6 +297,7 @@ class LossLaws : Notes {
       for (const auto& one : given.more)
         if (one.name != name && name != channel::label) targets.more.set(one.name, one.view);
       const std::string law = "without " + std::string(name);
+      options_.begin(law);
       require(loss_.counted_rays(targets, all.rays()) == 0, law, "rays are counted");
       require(loss_.add(targets, all.values(), kScale, all.gradients()) == 0, law, "there is a loss");
     }
@@ -345,12 +348,6 @@ Failures loss_laws(const Loss& loss, const LawOptions& options) {
   if (!loss.traits().reads_target(channel::label)) return failures;
   for (const std::string& failure : LossLaws(loss, options, true).run()) failures.push_back("soft labels: " + failure);
   return failures;
-}
-
-Failures loss_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                   const LawOptions& options) {
-  const PluginEntry& entry = registry.get(PluginKind::loss, name);
-  return loss_laws(*entry.loss(*make_params(entry, settings)), options);
 }
 
 }  // namespace semfield::testkit

@@ -161,6 +161,7 @@ void check_same(const std::string& law, const SampleBuffer<Real>& part, const Sa
 template <class Real>
 void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, const LawOptions& options,
                       Failures& failures) {
+  options.begin("the same rays again, and parts of them");
   const RayBatch batch(kFewRays, build, options.seed);
   SamplerBench<Real> bench(sampler, options);
   const SampleBuffer<Real> whole = bench.run(batch, 0, kFewRays);
@@ -169,6 +170,7 @@ void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, c
   check_same("first part of a split", bench.run(batch, 0, 13), whole, 0, 13, failures);
   for (std::int64_t r = kFewRays - 1; r >= 0; r -= 5)
     check_same("a ray alone", bench.run(batch, r, 1), whole, r, 1, failures);
+  options.begin("without training");
   bench.ctx.training = false;
   const SampleBuffer<Real> still = bench.run(batch, 0, kFewRays);
   check_samples("without training", still, batch, kFewRays, failures);
@@ -179,6 +181,7 @@ void check_addressing(const Sampler<Real>& sampler, const SamplerBuild& build, c
 
 void check_precision(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
                      const LawOptions& options, Failures& failures) {
+  options.begin("float against double");
   const RayBatch batch(kFewRays, build, options.seed);
   SamplerBench<float> single(sampler32, options);
   SamplerBench<double> twin(sampler64, options);
@@ -199,6 +202,7 @@ Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sa
   Failures failures;
   std::int64_t total = 0;
   for (const std::int64_t rays : kRayCounts) {
+    options.begin(std::to_string(rays) + " rays");
     const RayBatch batch(rays, build, options.seed);
     SamplerBench<float> bench(sampler32, options);
     const SampleBuffer<float> out = bench.run(batch, 0, rays);

@@ -22,8 +22,8 @@ TEST_P(PluginLaws, Hold) {
     return laws_of(single, oracle, build, options);
   });
   Failures failures;
-  if (row.kind == PluginKind::loss) failures = loss_laws(linked_registry(), row.name, row.settings);
-  if (row.kind == PluginKind::grouping) failures = grouping_laws(linked_registry(), row.name, row.settings);
+  if (row.kind == PluginKind::loss || row.kind == PluginKind::grouping)
+    failures = plugin_laws(linked_registry(), row.kind, row.name, row.settings);
   EXPECT_TRUE(failures.empty()) << to_text(failures);
 }
 

@@ -55,7 +55,7 @@ int main(int argc, char** argv) {
     load_module(registry, std::string(argv[1]) + "/ripples.so");
     const auto& table = registry.kernels().get<outside::RipplesKernels<float>>(Device::cpu, "encoder 'ripples'");
     std::printf("ripples: %s of %s\n", table.variant, isas_of_build().c_str());
-    const testkit::Failures failures = testkit::encoder_laws(registry, "ripples", {}, {});
+    const testkit::Failures failures = testkit::plugin_laws(registry, PluginKind::encoder, "ripples");
     std::fputs(testkit::to_text(failures).c_str(), stderr);
     return failures.empty() ? check_device(registry, argv[1]) : 1;
   } catch (const Error& error) {

@@ -81,7 +81,8 @@ TEST(DeclarationLaws, HoldForTheToy) {
 TEST(EncoderLaws, BuildFromTheRegistryWithSettings) {
   Registry registry;
   toy::register_into(registry);
-  const Failures failures = testkit::encoder_laws(registry, "toy", {{"bands", "5"}, {"flip", "true"}}, {});
+  const Failures failures =
+      testkit::plugin_laws(registry, PluginKind::encoder, "toy", {{"bands", "5"}, {"flip", "true"}});
   EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
 }
 

@@ -146,7 +146,7 @@ class PluginsCheck(ModuleCase):
     def test_a_plugin_that_ends_the_process_breaks_the_law_under_way(self):
         """An exit code of 0 is no law that holds."""
         r = self.ended(self.run_words("plugins", "check", probe("quitting")), 1)
-        fault = "it ended the process with exit code 0 before the law was asked to its end"
+        fault = "it ended the process with exit code 0 in the law 'what is written'"
         self.assertRegex(r.out, f"quitting +defaults, positions +FAILED\n    {fault}\n")
         self.has(r.out, "plugins check: passed=1 failed=1 refused=0 ")
         self.ended(self.run_words("plugins", "check", probe("quitting"), SEMFIELD_PROBE_QUITS="1"), 69,

@@ -1,4 +1,4 @@
-# Takes every cpp, cmake and yaml block out of docs/guide/writing_a_plugin.md, builds them as the page says - linked, and as modules against the
+# Takes every cpp, cmake and yaml block out of docs/guide/writing_a_plugin.md and driving_training.md, builds them as the page says - linked, and as modules against the
 # installed package - and runs the tests and laws. Called by CTest with PAGE, TREE, BUILD_DIR, WORK_DIR, APP, GENERATOR, COMPILER, LAUNCHER, FLAGS.
 cmake_minimum_required(VERSION 3.25)
 function(step what)
@@ -13,6 +13,8 @@ endfunction()
 set(folder ${WORK_DIR}/page)
 file(REMOVE_RECURSE ${WORK_DIR})
 file(READ ${PAGE} rest)
+file(READ ${TREE}/docs/guide/driving_training.md driving)
+string(APPEND rest "${driving}")
 set(files 0)
 while(TRUE)
   string(FIND "${rest}" "\n```" open)
@@ -48,7 +50,7 @@ endif()
 
 file(COPY ${TREE}/plugins/CMakeLists.txt DESTINATION ${folder}/plugins)
 file(COPY ${TREE}/tests/docs/writing_a_plugin/CMakeLists.txt ${TREE}/tests/docs/writing_a_plugin/linked_host.cpp DESTINATION ${folder})
-file(COPY ${folder}/plugins/encoders/rings/rings.cpp ${folder}/plugins/losses/opaque/opaque.cpp ${folder}/plugins/fields/sines/sines.cpp
+file(COPY ${folder}/plugins/encoders/rings/rings.cpp ${folder}/plugins/losses/opaque/opaque.cpp ${folder}/plugins/losses/confident/confident.cpp ${folder}/plugins/fields/sines/sines.cpp
      ${folder}/plugins/datasets/pose_list/pose_list.cpp ${folder}/plugins/label_readers/text_grid/text_grid.cpp DESTINATION ${folder}/my_plugins)
 file(MAKE_DIRECTORY ${WORK_DIR}/scene)
 
@@ -63,6 +65,15 @@ step("configuring the linked plugins" ${CMAKE_COMMAND} -S ${folder} -B ${WORK_DI
 step("building the linked plugins" ${CMAKE_COMMAND} --build ${WORK_DIR}/build)
 step("configuring the modules" ${CMAKE_COMMAND} -S ${folder}/my_plugins -B ${folder}/my_plugins/build ${common})
 step("building the modules" ${CMAKE_COMMAND} --build ${folder}/my_plugins/build)
+step("configuring the program" ${CMAKE_COMMAND} -S ${folder}/my_program -B ${folder}/my_program/build ${common})
+step("building the program" ${CMAKE_COMMAND} --build ${folder}/my_program/build)
+
+step("the program" ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/scene ${folder}/my_program/build/watch quickstart
+     scene.frames=12 scene.test_frames=2 scene.width_px=24 scene.height_px=18 train.rays=64)
+if(NOT step_output MATCHES "24 x 18 pixels.*psnr [0-9]")
+  message(FATAL_ERROR "the program says something else:\n${step_output}")
+endif()
+file(REMOVE ${WORK_DIR}/scene/room.safetensors)
 
 step("the plugin's own test" ${WORK_DIR}/build/plugin_tests)
 step("the laws of the linked plugins" ${WORK_DIR}/build/linked_host ${WORK_DIR}/scene)
@@ -85,6 +96,9 @@ step("plugins check opaque" ${APP} plugins check ${folder}/my_plugins/build/opaq
 if(NOT step_output MATCHES "loss +opaque +defaults +passed\nplugins check: passed=2 failed=0 ")
   message(FATAL_ERROR "the check says something else:\n${step_output}")
 endif()
+step("plugins check confident" ${APP} plugins check ${folder}/my_plugins/build/confident.so)
+step("train with a loss of a module" ${WORK_DIR}/prefix/bin/semfield train quickstart --dry-run --set scene.frames=4 --set scene.test_frames=2
+     --plugin ${folder}/my_plugins/build/confident.so --set "losses=[{type: confident}]")
 step("plugins check sines" ${APP} plugins check ${folder}/my_plugins/build/sines.so)
 if(NOT step_output MATCHES "field +sines .* passed\n.*plugins check: passed=[0-9]+ failed=0 ")
   message(FATAL_ERROR "the check says something else:\n${step_output}")
