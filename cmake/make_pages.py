@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Writes the pages as a reader gets them: cmake/make_pages.py FOLDER. Everything in docs/, every page of the tree with tables of data filled in, the
-sources that they link to, and docs/reference/codes.md and cpp.md, from the sources. `semfield help --pages FOLDER` adds what the program knows of itself,
+sources and folders that they link to, and docs/reference/codes.md and cpp.md, from the sources. `semfield help --pages FOLDER` adds what the program knows of itself,
 python/docs/reference.py the Python module; the CMake target docs_pages calls all three for build/PRESET/docs."""
 import argparse
 import csv
@@ -319,7 +319,7 @@ def main():
                 pathlib.Path(out, linked).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(os.path.join(REPOSITORY, linked), os.path.join(out, linked))
             elif os.path.isdir(os.path.join(REPOSITORY, linked)):
-                shutil.copytree(os.path.join(REPOSITORY, linked), os.path.join(out, linked), ignore=shutil.ignore_patterns("*.md"), dirs_exist_ok=True)
+                shutil.copytree(os.path.join(REPOSITORY, linked), os.path.join(out, linked), ignore=shutil.ignore_patterns("*.md", "__pycache__"), dirs_exist_ok=True)
 
 
 if __name__ == "__main__":

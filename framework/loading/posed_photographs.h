@@ -1,4 +1,4 @@
-// The frames of a dataset that is made of image files: its plugin finds the photographs and says what its index tells
+// The frames of a dataset that is made of image files: its plugin finds the photographs and says what its index has
 // of each; checks, splits, labels, masks and pixels are the same for all.
 #pragma once
 
