@@ -33,7 +33,7 @@ class Fuse(Verbs):
         self.has(lines.out, "fuse: method=monocular depth=true miou_present=1.0000 ",
                  "\nfuse: method=bayesian depth=true ")
         self.has(lines.err, "predictions are the scene's own labels")
-        fuse = "fuse config.yaml --json --set fuse.relative_tolerance=0.03"
+        fuse = "labels fuse config.yaml --json --set fuse.relative_tolerance=0.03"
         rows = self.json(f"{fuse} --out maps")["scores"]
         self.assertEqual(json.loads((self.dir / "maps/fuse.json").read_text())["scores"], rows)
         self.assertEqual(self.json(f"{fuse} --threads 1")["scores"], rows, "threads change a number")

@@ -102,7 +102,9 @@ class Scannet {
     if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_labels)
       diagnostics.error("labels.folder.missing", (root / params_.label_dir).string(), "label folder is missing",
                         "check scene.label_dir");
-    PhotographRules rules{.with_masks = false, .labels_by_name = false, .classes = ClassTable()};
+    PhotographRules rules;
+    rules.with_masks = rules.labels_by_name = false;
+    rules.classes = ClassTable();
     if (views.empty()) return files_.open({}, std::move(rules), diagnostics);
     for (std::size_t rank = 0; rank < views.size(); ++rank) {
       PosedPhotograph& view = views[rank];
