@@ -24,16 +24,16 @@
 #include "core/small_math.h"
 #include "core/text.h"
 #include "eval/image_output.h"
-#include "handover/point_files.h"
-#include "handover/voxel_map.h"
 #include "objects/find_objects.h"
 #include "objects/object_score.h"
 #include "objects/object_set.h"
 #include "objects/segments.h"
 #include "run/run_scores.h"
 #include "surface/mesh/mesh_files.h"
+#include "surface/mesh/point_files.h"
 #include "surface/mesh/score/mesh_score.h"
 #include "surface/mesh/surface.h"
+#include "surface/mesh/voxel_map.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -52,7 +52,6 @@ FLOORS = {
     "surface/fuse": SETTINGS | {"eval", "session", "surface", "surface/fuse"},
     "objects": SETTINGS | {"eval", "session", "surface", "objects"},
     "surface/mesh": SETTINGS | {"eval", "surface", "surface/mesh"},
-    "handover": SETTINGS | {"eval", "surface", "surface/mesh", "handover"},
     "serve": RUN | {"surface", "serve"},
     "testkit": set(),  # includes all of them
 }

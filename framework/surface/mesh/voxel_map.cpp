@@ -1,4 +1,4 @@
-#include "handover/voxel_map.h"
+#include "surface/mesh/voxel_map.h"
 
 #include <fmt/format.h>
 
@@ -170,9 +170,9 @@ void write_voxels(const std::string& path, const VoxelMap& map, const ClassTable
 
 namespace {
 
-constexpr int kLevels = 16;
-constexpr std::int64_t kMiddle = std::int64_t{1} << (kLevels - 1);  // the key of cubes that begin at 0
-constexpr std::int64_t kFarthest = 32'000;                          // cubes from 0 that are left where they are
+constexpr int kTreeLevels = 16;
+constexpr std::int64_t kMiddle = std::int64_t{1} << (kTreeLevels - 1);  // the key of cubes that begin at 0
+constexpr std::int64_t kFarthest = 32'000;                              // cubes from 0 that are left where they are
 
 using TreeColor = std::array<std::uint8_t, 3>;
 
@@ -193,7 +193,7 @@ struct OctomapTree {
   // A leaf of the lowest level: bit k of the keys chooses a child on the way down, x the lowest of the number.
   void add(const std::array<std::int64_t, 3>& key, float log_odds, const TreeColor& color) {
     TreeNode* node = &root;
-    for (int level = kLevels - 1; level >= 0; --level) {
+    for (int level = kTreeLevels - 1; level >= 0; --level) {
       std::size_t number = 0;
       for (std::size_t axis = 0; axis < 3; ++axis) number |= static_cast<std::size_t>(key[axis] >> level & 1) << axis;
       if (node->child[number] == nullptr) {
