@@ -22,19 +22,6 @@
 
 namespace semfield {
 
-/// Segments of an image from its masks, which may overlap: the smaller lies in front of the larger.
-FrameSegments painted_segments(std::vector<MaskPixels> masks, std::int32_t width, std::int32_t height);
-
-/// Throws Error(data) beginning with `place` for a size over limits.*, or of another shape than the frame's image.
-void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place);
-
-/// Segments of a .npz archive: an array `masks` [N, H, W] ([N, 1, H, W] too), or, without it, one array [H, W] per mask
-/// in the order of the archive; of bool or uint8, where other than 0 is inside. `class_ids` [N], ids of the class
-/// table, gives segments their class; `scores` is not read, and nothing else beside `masks`. Throws Error(data) naming
-/// file and array: what NpzFile refuses, another type or shape, no masks, an image of another shape, and an id that is
-/// of no class.
-FrameSegments segments_of_arrays(const std::string& path, const FrameInfo& frame, const ClassTable& classes);
-
 std::int32_t FrameSegments::at(std::int32_t column, std::int32_t row, std::int32_t frame_width,
                                std::int32_t frame_height) const {
   // The pixel that holds the centre of the frame's.
@@ -89,6 +76,129 @@ namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
 constexpr std::uint16_t kNoSegment16 = 65535;
+
+/// Segments of an image from its masks, which may overlap: the smaller lies in front of the larger.
+FrameSegments painted_segments(std::vector<MaskPixels> masks, std::int32_t width, std::int32_t height) {
+  sort_by_area(masks);
+  FrameSegments out{
+      width, height, std::vector<std::int32_t>(static_cast<std::size_t>(std::int64_t{width} * height), 0), {}};
+  std::int32_t id = 0;
+  for (const MaskPixels& mask : masks) {
+    ++id;
+    if (mask.index != kVoid) out.class_of[id] = mask.index;
+    for (const PixelRun& run : mask.runs)
+      std::fill_n(out.id.begin() + std::int64_t{run.y} * width + run.x0, run.x1 - run.x0, id);
+  }
+  return out;
+}
+
+/// Throws Error(data) beginning with `place` for a size over limits.*, or of another shape than the frame's image.
+void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place) {
+  at_place(place, [&] {
+    if (width <= 0 || height <= 0)
+      throw Error(ErrorKind::data, "labels.image.size",
+                  "an image of " + std::to_string(width) + " x " + std::to_string(height));
+    check_image_limits(width, height);
+    check_label_shape(width, height, frame.camera);
+  });
+}
+
+constexpr std::int64_t kMostMasks = 10'000;  // of an image; segmenters find some hundreds
+constexpr const char *kMasks = "masks", *kClassIds = "class_ids", *kScores = "scores";
+
+using Shape = std::span<const std::int64_t>;
+
+[[noreturn]] void refuse_shape(Shape shape, const std::string& remedy) {
+  throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape), remedy);
+}
+
+std::vector<PixelRun> runs_of_pixels(std::span<const std::uint8_t> inside, std::int32_t width) {
+  std::vector<PixelRun> runs;
+  for (std::size_t row = 0; row * static_cast<std::size_t>(width) < inside.size(); ++row) {
+    const std::span<const std::uint8_t> of_row = inside.subspan(row * static_cast<std::size_t>(width)).first(width);
+    for (std::int32_t x = 0; x < width; ++x) {
+      if (of_row[static_cast<std::size_t>(x)] == 0) continue;
+      const std::int32_t begin = x;
+      while (x < width && of_row[static_cast<std::size_t>(x)] != 0) ++x;
+      runs.push_back({static_cast<std::int32_t>(row), begin, x});
+    }
+  }
+  return runs;
+}
+
+/// Segments of a .npz archive: an array `masks` [N, H, W] ([N, 1, H, W] too), or, without it, one array [H, W] per mask
+/// in the order of the archive; of bool or uint8, where other than 0 is inside. `class_ids` [N], ids of the class
+/// table, gives segments their class; `scores` is not read, and nothing else beside `masks`. Throws Error(data) naming
+/// file and array: what NpzFile refuses, another type or shape, no masks, an image of another shape, and an id that is
+/// of no class.
+class ArrayMasks {
+ public:
+  ArrayMasks(const std::string& path, const FrameInfo& frame) : path_(path), frame_(frame), file_(path) {}
+
+  FrameSegments read(const ClassTable& classes) {
+    const std::vector<std::string>& keys = file_.keys();
+    if (has(kMasks)) {
+      add(kMasks, 3, "save an array [masks, height, width]");
+    } else {
+      for (const std::string& key : keys)
+        if (key != kClassIds && key != kScores)
+          add(key, 2, "save an array [height, width] per mask, or all as 'masks'");
+    }
+    if (height_ == 0)
+      refuse_labels("labels.array.shape", path_, "holds no masks",
+                    "save an array 'masks' [masks, height, width], or an array [height, width] per mask");
+    if (has(kClassIds)) read_classes(classes);
+    return painted_segments(std::move(masks_), width_, height_);
+  }
+
+ private:
+  bool has(const char* key) const {
+    return std::find(file_.keys().begin(), file_.keys().end(), key) != file_.keys().end();
+  }
+
+  // The masks of an array of `axes` axes.
+  void add(const std::string& key, std::size_t axes, const char* remedy) {
+    const NumpyNumbers<std::uint8_t> array = file_.bytes(key, [&](Shape shape) {
+      const bool has_channel = axes == 3 && shape.size() == 4 && shape[1] == 1;
+      if (shape.size() != axes && !has_channel) refuse_shape(shape, remedy);
+      const std::int64_t height = shape[shape.size() - 2], width = shape.back();
+      check_segment_size(width, height, frame_, "masks");
+      const std::int64_t masks = std::ssize(masks_) + (axes == 3 ? shape[0] : 1);
+      if (masks > kMostMasks) refuse_shape(shape, "save at most " + std::to_string(kMostMasks) + " masks of an image");
+      if (height_ != 0 && (height != height_ || width != width_))
+        refuse_shape(shape, "save all masks of an image at the size of the first, " +
+                                shape_text(std::vector{std::int64_t{height_}, std::int64_t{width_}}));
+      height_ = static_cast<std::int32_t>(height);
+      width_ = static_cast<std::int32_t>(width);
+    });
+    const std::size_t pixels = static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
+    for (std::size_t at = 0; at < array.values.size(); at += pixels) {
+      masks_.emplace_back(runs_of_pixels(std::span(array.values).subspan(at, pixels), width_), kVoid);
+    }
+  }
+
+  void read_classes(const ClassTable& classes) {
+    const NumpyNumbers<std::int64_t> ids = file_.whole(kClassIds, [&](Shape shape) {
+      if (shape.size() != 1 || shape[0] != std::ssize(masks_))
+        refuse_shape(shape, "save one id per mask, " + shape_text(std::vector{std::ssize(masks_)}));
+    });
+    for (std::size_t k = 0; k < masks_.size(); ++k) {
+      const std::int64_t id = ids.values[k];
+      const int index = id < 0 || id > 65535 ? -2 : classes.index_of(static_cast<std::int32_t>(id));
+      if (index == -2)
+        refuse_labels("labels.id.unknown", "'" + path_ + "', entry '" + kClassIds + "'",
+                      "mask " + std::to_string(k + 1) + ": " + std::to_string(id) + " is the id of no class",
+                      "save ids of the run's classes.yaml, or leave 'class_ids' out");
+      masks_[k].index = static_cast<std::int16_t>(index);
+    }
+  }
+
+  const std::string& path_;
+  const FrameInfo& frame_;
+  NpzFile file_;
+  std::int32_t width_ = 0, height_ = 0;
+  std::vector<MaskPixels> masks_;
+};
 
 const Json& member(const Json& item, const char* key, const std::string& place) {
   if (!item.is_object() || !item.contains(key))
@@ -195,7 +305,7 @@ class Reading {
           const FrameInfo frame = as_shown(info_.frames[f]);
           const std::string& file = files.at(frame.name);
           set_.frames[f] = file.ends_with(".json")  ? segments_of_masks(file, frame)
-                           : file.ends_with(".npz") ? segments_of_arrays(file, frame, info_.classes)
+                           : file.ends_with(".npz") ? ArrayMasks(file, frame).read(info_.classes)
                                                     : segments_of_ids(file, frame);
         }
       }
@@ -330,130 +440,6 @@ SegmentSet read_segments(const std::string& path, const std::string& pattern, co
                 "name segments of the training images with --segments");
   }
   return reading.finish();
-}
-
-namespace {
-
-constexpr std::int64_t kMostMasks = 10'000;  // of an image; segmenters find some hundreds
-constexpr const char *kMasks = "masks", *kClassIds = "class_ids", *kScores = "scores";
-
-using Shape = std::span<const std::int64_t>;
-
-[[noreturn]] void refuse_shape(Shape shape, const std::string& remedy) {
-  throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape), remedy);
-}
-
-std::vector<PixelRun> runs_of_pixels(std::span<const std::uint8_t> inside, std::int32_t width) {
-  std::vector<PixelRun> runs;
-  for (std::size_t row = 0; row * static_cast<std::size_t>(width) < inside.size(); ++row) {
-    const std::span<const std::uint8_t> of_row = inside.subspan(row * static_cast<std::size_t>(width)).first(width);
-    for (std::int32_t x = 0; x < width; ++x) {
-      if (of_row[static_cast<std::size_t>(x)] == 0) continue;
-      const std::int32_t begin = x;
-      while (x < width && of_row[static_cast<std::size_t>(x)] != 0) ++x;
-      runs.push_back({static_cast<std::int32_t>(row), begin, x});
-    }
-  }
-  return runs;
-}
-
-class ArrayMasks {
- public:
-  ArrayMasks(const std::string& path, const FrameInfo& frame) : path_(path), frame_(frame), file_(path) {}
-
-  FrameSegments read(const ClassTable& classes) {
-    const std::vector<std::string>& keys = file_.keys();
-    if (has(kMasks)) {
-      add(kMasks, 3, "save an array [masks, height, width]");
-    } else {
-      for (const std::string& key : keys)
-        if (key != kClassIds && key != kScores)
-          add(key, 2, "save an array [height, width] per mask, or all as 'masks'");
-    }
-    if (height_ == 0)
-      refuse_labels("labels.array.shape", path_, "holds no masks",
-                    "save an array 'masks' [masks, height, width], or an array [height, width] per mask");
-    if (has(kClassIds)) read_classes(classes);
-    return painted_segments(std::move(masks_), width_, height_);
-  }
-
- private:
-  bool has(const char* key) const {
-    return std::find(file_.keys().begin(), file_.keys().end(), key) != file_.keys().end();
-  }
-
-  // The masks of an array of `axes` axes.
-  void add(const std::string& key, std::size_t axes, const char* remedy) {
-    const NumpyNumbers<std::uint8_t> array = file_.bytes(key, [&](Shape shape) {
-      const bool has_channel = axes == 3 && shape.size() == 4 && shape[1] == 1;
-      if (shape.size() != axes && !has_channel) refuse_shape(shape, remedy);
-      const std::int64_t height = shape[shape.size() - 2], width = shape.back();
-      check_segment_size(width, height, frame_, "masks");
-      const std::int64_t masks = std::ssize(masks_) + (axes == 3 ? shape[0] : 1);
-      if (masks > kMostMasks) refuse_shape(shape, "save at most " + std::to_string(kMostMasks) + " masks of an image");
-      if (height_ != 0 && (height != height_ || width != width_))
-        refuse_shape(shape, "save all masks of an image at the size of the first, " +
-                                shape_text(std::vector{std::int64_t{height_}, std::int64_t{width_}}));
-      height_ = static_cast<std::int32_t>(height);
-      width_ = static_cast<std::int32_t>(width);
-    });
-    const std::size_t pixels = static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
-    for (std::size_t at = 0; at < array.values.size(); at += pixels) {
-      masks_.emplace_back(runs_of_pixels(std::span(array.values).subspan(at, pixels), width_), kVoid);
-    }
-  }
-
-  void read_classes(const ClassTable& classes) {
-    const NumpyNumbers<std::int64_t> ids = file_.whole(kClassIds, [&](Shape shape) {
-      if (shape.size() != 1 || shape[0] != std::ssize(masks_))
-        refuse_shape(shape, "save one id per mask, " + shape_text(std::vector{std::ssize(masks_)}));
-    });
-    for (std::size_t k = 0; k < masks_.size(); ++k) {
-      const std::int64_t id = ids.values[k];
-      const int index = id < 0 || id > 65535 ? -2 : classes.index_of(static_cast<std::int32_t>(id));
-      if (index == -2)
-        refuse_labels("labels.id.unknown", "'" + path_ + "', entry '" + kClassIds + "'",
-                      "mask " + std::to_string(k + 1) + ": " + std::to_string(id) + " is the id of no class",
-                      "save ids of the run's classes.yaml, or leave 'class_ids' out");
-      masks_[k].index = static_cast<std::int16_t>(index);
-    }
-  }
-
-  const std::string& path_;
-  const FrameInfo& frame_;
-  NpzFile file_;
-  std::int32_t width_ = 0, height_ = 0;
-  std::vector<MaskPixels> masks_;
-};
-
-}  // namespace
-
-FrameSegments painted_segments(std::vector<MaskPixels> masks, std::int32_t width, std::int32_t height) {
-  sort_by_area(masks);
-  FrameSegments out{
-      width, height, std::vector<std::int32_t>(static_cast<std::size_t>(std::int64_t{width} * height), 0), {}};
-  std::int32_t id = 0;
-  for (const MaskPixels& mask : masks) {
-    ++id;
-    if (mask.index != kVoid) out.class_of[id] = mask.index;
-    for (const PixelRun& run : mask.runs)
-      std::fill_n(out.id.begin() + std::int64_t{run.y} * width + run.x0, run.x1 - run.x0, id);
-  }
-  return out;
-}
-
-void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place) {
-  at_place(place, [&] {
-    if (width <= 0 || height <= 0)
-      throw Error(ErrorKind::data, "labels.image.size",
-                  "an image of " + std::to_string(width) + " x " + std::to_string(height));
-    check_image_limits(width, height);
-    check_label_shape(width, height, frame.camera);
-  });
-}
-
-FrameSegments segments_of_arrays(const std::string& path, const FrameInfo& frame, const ClassTable& classes) {
-  return ArrayMasks(path, frame).read(classes);
 }
 
 }  // namespace semfield

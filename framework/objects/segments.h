@@ -45,7 +45,8 @@ SegmentSet segments_of_scene(const LoadedScene& scene);
 ///     65535 of 16 bits, is no segment. Instance images of Replica and ScanNet are such.
 ///   a folder of JSON files, one per frame by `pattern`: masks of a segmenter of everything, a list of {segmentation},
 ///     or an object with such a list as `annotations`; segmentation as run lengths {size, counts} or as polygons.
-///   a folder of .npz files, one per frame by `pattern`: segments_of_arrays.
+///   a folder of .npz files, one per frame by `pattern`: `masks` [N, H, W] or an array [H, W] per mask, of bool or
+///     uint8, and `class_ids` [N] of the class table.
 ///   a JSON file of COCO's panoptic form: `annotations` of {file_name, segments_info}, PNGs in the folder of its name
 ///     without .json, or beside it, whose pixels are R + 256 G + 65536 B [Kirillov19].
 ///   a JSON file of COCO's instances: `images`, and `annotations` of {image_id, segmentation} [Lin14].
