@@ -1,5 +1,5 @@
 // Unit tests of the page's modules, run inside the page: the body of a function that returns a list of what is wrong.
-return Promise.all(['model', 'stage', 'dom', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
+return Promise.all(['model', 'canvas', 'dom', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
 .then(([model, viewport, colors, api, pictures]) => {
   const wrong = [];
   const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };

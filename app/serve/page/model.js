@@ -194,7 +194,6 @@ export function nameProblem(name, others) {
 const kWhy = {
   uncertain: 'the model is uncertain',
   unseen: 'no label reaches it yet',
-  border: 'classes meet here',
 };
 export const reason = (why) => kWhy[why] ?? why;
 

@@ -1,0 +1,336 @@
+// The canvas of a view: where the image lies on it, and what is drawn there. Knows nothing of the program.
+import {cssColor, inkOn} from './dom.js';
+
+// Where an image lies on the screen: fitted, zoomed about a point, dragged. Pure; lengths on the screen are CSS pixels.
+
+const kMargin = 8;
+const kMostZoom = 40;
+
+/// scale: screen pixels per image pixel; (x, y): the screen's point of the image's upper left corner.
+export function fitted(image, screen) {
+  const scale = Math.max(1e-6, Math.min((screen.width - 2 * kMargin) / image.width, (screen.height - 2 * kMargin) / image.height));
+  return {scale, x: (screen.width - scale * image.width) / 2, y: (screen.height - scale * image.height) / 2};
+}
+
+export const toImage = (port, x, y) => [(x - port.x) / port.scale, (y - port.y) / port.scale];
+export const toScreen = (port, x, y) => [port.x + x * port.scale, port.y + y * port.scale];
+export const isInside = (image, x, y) => x >= 0 && y >= 0 && x < image.width && y < image.height;
+
+/// Zoomed by `factor`; the image's point under (x, y) stays there. Never smaller than fitted.
+export function zoomed(port, factor, x, y, image, screen) {
+  const least = fitted(image, screen);
+  const scale = Math.min(Math.max(port.scale * factor, least.scale), Math.max(kMostZoom, least.scale));
+  if (scale <= least.scale * 1.001) return least;
+  const ratio = scale / port.scale;
+  return kept({scale, x: x - (x - port.x) * ratio, y: y - (y - port.y) * ratio}, image, screen);
+}
+
+export const moved = (port, dx, dy, image, screen) => kept({...port, x: port.x + dx, y: port.y + dy}, image, screen);
+
+/// Moved as little as leaves the image in sight: its middle third never leaves the screen.
+function kept(port, image, screen) {
+  const within = (at, length, most) => Math.min(Math.max(at, most / 3 - length), (most * 2) / 3);
+  return {...port, x: within(port.x, port.scale * image.width, screen.width), y: within(port.y, port.scale * image.height, screen.height)};
+}
+
+// The canvas in the middle: picture, overlay, marks of clicks, the proposal's ring and the brush.
+
+const kMostLayer_px = 2e6;  // the overlay is drawn at every move of the pointer
+
+/// Adds lines from (x0, y0) to (x1, y1) to the path.
+function lines(context, ends) {
+  for (const [x0, y0, x1, y1] of ends) {
+    context.moveTo(x0, y0);
+    context.lineTo(x1, y1);
+  }
+}
+
+let hatch = null;
+
+/// Stripes for what is ignored, as wide at every zoom; `scale`: of the context.
+function hatchOf(context, scale) {
+  if (!hatch) {
+    hatch = new OffscreenCanvas(8, 8);
+    const stripes = hatch.getContext('2d');
+    stripes.fillStyle = 'rgb(40 40 44)';
+    stripes.fillRect(0, 0, 8, 8);
+    for (const at of [-8, 0, 8]) stroked(stripes, 2.5, 'rgb(190 190 190)', () => lines(stripes, [[at - 2, 10, at + 10, -2]]));
+  }
+  const pattern = context.createPattern(hatch, 'repeat');
+  pattern.setTransform(new DOMMatrix().scale(1 / scale));
+  return pattern;
+}
+
+/// Paints what a mark covers: discs along its points, a pixel alone when the radius is 0, the inside of an outline.
+export function paintClick(context, {points, radius, color, fill}, style = cssColor(color)) {
+  context.fillStyle = context.strokeStyle = style;
+  context.lineCap = context.lineJoin = 'round';
+  const trace = () => points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+  if (fill) {
+    context.beginPath();
+    trace();
+    context.fill('evenodd');
+    return;
+  }
+  if (radius < 0.5) {
+    for (const [x, y] of points) context.fillRect(Math.floor(x), Math.floor(y), 1, 1);
+    if (points.length < 2) return;
+  }
+  context.lineWidth = Math.max(1, 2 * radius);
+  context.beginPath();
+  if (points.length === 1) {
+    context.arc(points[0][0], points[0][1], radius, 0, 2 * Math.PI);
+    context.fill();
+    return;
+  }
+  trace();
+  context.stroke();
+}
+
+function stroked(context, width, style, path) {
+  Object.assign(context, {lineWidth: width, strokeStyle: style});
+  context.beginPath();
+  path();
+  context.stroke();
+}
+
+/// A path drawn in `color` between a light and a dark line, so that it shows on every picture.
+function outlined(context, width, color, path) {
+  for (const [extra, style] of [[4, 'rgb(0 0 0 / 0.75)'], [2, '#fff'], [0, color]]) stroked(context, width + extra, style, path);
+}
+
+export class ViewCanvas {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.context = canvas.getContext('2d');
+    this.layer = new OffscreenCanvas(1, 1);
+    this.share = 1;  // of the image's size
+    this.layerContext = this.layer.getContext('2d', {willReadFrequently: true});
+    this.screen = {width: 1, height: 1};
+    this.image = {width: 1, height: 1};
+    this.port = fitted(this.image, this.screen);
+    this.isFitted = true;
+  }
+
+  /// Follows the element's size; true when it changed.
+  resize() {
+    const {clientWidth: width, clientHeight: height} = this.canvas;
+    const ratio = window.devicePixelRatio || 1;
+    if (width === this.screen.width && height === this.screen.height && ratio === this.ratio) return false;
+    this.ratio = ratio;
+    this.screen = {width, height};
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+    if (this.isFitted) this.fit();
+    return true;
+  }
+
+  fit() {
+    this.port = fitted(this.image, this.screen);
+    this.isFitted = true;
+  }
+
+  look(port) {
+    this.port = port;
+    this.isFitted = port.scale <= fitted(this.image, this.screen).scale * 1.001;
+  }
+
+  /// The image's size; another one is fitted.
+  setImage(width, height) {
+    if (this.image.width === width && this.image.height === height) return;
+    this.image = {width, height};
+    this.fit();
+  }
+
+  /// Labels (or entropy) of the view at its own size, a very large one smaller; clicks that they do not know painted over.
+  paintLayer(overlay, paints) {
+    const {width, height} = this.image;
+    this.share = Math.min(1, Math.sqrt(kMostLayer_px / (width * height)));
+    const size = {width: Math.ceil(width * this.share), height: Math.ceil(height * this.share)};
+    if (this.layer.width !== size.width || this.layer.height !== size.height) Object.assign(this.layer, size);
+    const context = this.layerContext;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.imageSmoothingEnabled = false;
+    context.clearRect(0, 0, size.width, size.height);
+    context.scale(this.share, this.share);
+    if (overlay) context.drawImage(overlay, 0, 0, width, height);
+    for (const mark of paints) {
+      context.globalCompositeOperation = mark.isIgnore ? 'destination-out' : 'source-over';
+      paintClick(context, mark);
+    }
+    context.globalCompositeOperation = 'source-over';
+  }
+
+  /// Leaves `alpha` of 255 to every pixel that is not of the colour.
+  dimOthers(color, alpha) {
+    const image = this.layerContext.getImageData(0, 0, this.layer.width, this.layer.height);
+    const {data} = image;
+    for (let i = 0; i < data.length; i += 4) {
+      if (data[i + 3] && (data[i] !== color[0] || data[i + 1] !== color[1] || data[i + 2] !== color[2])) data[i + 3] = alpha;
+    }
+    this.layerContext.putImageData(image, 0, 0);
+  }
+
+  /// [r, g, b] of the layer at a pixel, or null where nothing is.
+  layerColor(x, y) {
+    const [r, g, b, a] = this.layerContext.getImageData(Math.floor(x * this.share), Math.floor(y * this.share), 1, 1).data;
+    return a ? [r, g, b] : null;
+  }
+
+  /// The part of a picture of the whole image that is on the screen, drawn there: a photograph may have many megapixels.
+  drawPicture(picture) {
+    const {context, port, image, screen} = this;
+    const share = picture.width / image.width;
+    const [left, top] = toImage(port, 0, 0).map((v) => Math.max(0, Math.floor(v)));
+    const [right, bottom] = toImage(port, screen.width, screen.height).map(Math.ceil);
+    const [width, height] = [Math.min(right, image.width) - left, Math.min(bottom, image.height) - top];
+    if (width <= 0 || height <= 0) return;
+    const [x, y] = toScreen(port, left, top);
+    context.imageSmoothingEnabled = port.scale / share < 6;
+    context.imageSmoothingQuality = 'high';
+    const tall = picture.height / image.height;
+    context.drawImage(picture, left * share, top * tall, width * share, height * tall, x, y, width * port.scale, height * port.scale);
+  }
+
+  /// what: {picture, opacity, marks, others: clicks of other views, selected and hovered mark,
+  /// showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke, outline: {points, color, tip}}
+  draw(what) {
+    const {context, port, image} = this;
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    context.clearRect(0, 0, this.screen.width, this.screen.height);
+    const place = [port.x, port.y, image.width * port.scale, image.height * port.scale];
+    context.fillStyle = '#0c0d0f';
+    context.fillRect(...place);
+    if (what.picture) this.drawPicture(what.picture);
+    context.globalAlpha = Math.max(what.opacity, 0.3);
+    for (const mark of what.marks) if (mark.isIgnore) this.inImage(() => paintClick(context, mark, hatchOf(context, port.scale)));
+    context.imageSmoothingEnabled = true;  // edges of labels without steps where a pixel that trains is large
+    context.globalAlpha = what.opacity;
+    if (what.opacity > 0) context.drawImage(this.layer, ...place);
+    context.globalAlpha = 1;
+    if (what.stroke) this.drawStroke(what.stroke);
+    for (const mark of what.others) this.drawOther(mark, what.showNames || mark === what.hovered);
+    for (const mark of what.marks) this.drawMark(mark, what.showNames || mark === what.hovered, mark === what.selected, what.doomed?.has(mark.id));
+    if (what.outline) this.drawOutline(what.outline);
+    if (what.ring) this.drawRing(what.ring);
+    if (what.cross) this.drawTicks(...toScreen(port, ...what.cross), 4, 14, 1, '#111');
+    if (what.brush) this.drawBrush(what.brush);
+  }
+
+  inImage(path) {
+    const {context, port} = this;
+    context.save();
+    context.translate(port.x, port.y);
+    context.scale(port.scale, port.scale);
+    path(context);
+    context.restore();
+  }
+
+  drawStroke(stroke) {
+    this.context.globalAlpha = 0.75;
+    this.inImage((context) => paintClick(context, stroke, stroke.isIgnore ? hatchOf(context, this.port.scale) : cssColor(stroke.color)));
+    this.context.globalAlpha = 1;
+  }
+
+  /// Closed or open line through points of the image, on the screen.
+  trace(points, isClosed) {
+    const {context} = this;
+    points.forEach((point, i) => context[i ? 'lineTo' : 'moveTo'](...toScreen(this.port, ...point)));
+    if (isClosed) context.closePath();
+  }
+
+  drawDot(x, y, sizes) {
+    const {context} = this;
+    for (const [radius, style] of sizes) {
+      context.fillStyle = style;
+      context.beginPath();
+      context.arc(x, y, radius, 0, 2 * Math.PI);
+      context.fill();
+    }
+  }
+
+  /// A polygon that is being drawn, up to the pointer.
+  drawOutline({points, color, tip, closes}) {
+    const {context} = this;
+    context.lineJoin = 'round';
+    const line = tip ? [...points, tip] : points;
+    context.globalAlpha = 0.3;
+    context.fillStyle = cssColor(color);
+    context.beginPath();
+    this.trace(line, true);
+    context.fill();
+    context.globalAlpha = 1;
+    outlined(context, 1.5, cssColor(color), () => this.trace(line, false));
+    points.forEach((point, i) => this.drawDot(...toScreen(this.port, ...point), i === 0 && closes ? [[9, '#000c'], [8, '#fff'], [6, cssColor(color)]] : [[5, '#000c'], [4, '#fff']]));
+  }
+
+  /// A click of another view, where the surface that it named is seen.
+  drawOther({points, color, label}, showName) {
+    const {context} = this;
+    context.globalAlpha = 0.75;
+    for (const point of points) this.drawDot(...toScreen(this.port, ...point), [[5, 'rgb(0 0 0 / 0.6)'], [4, 'rgb(255 255 255 / 0.8)'], [2.8, cssColor(color)]]);
+    context.globalAlpha = 1;
+    if (showName) this.drawName(label, color, ...toScreen(this.port, ...points[0]));
+  }
+
+  drawMark({points, color, label, fill, isIgnore, saved}, showName, isSelected, isDoomed) {
+    const {context} = this;
+    if (points.length > 1) {
+      context.lineCap = context.lineJoin = 'round';
+      outlined(context, 1.5, cssColor(color), () => this.trace(points, fill));
+    }
+    const [x, y] = toScreen(this.port, ...points[0]);
+    context.setLineDash([]);
+    if (isSelected || isDoomed) {
+      outlined(context, 2, isDoomed ? '#ff6b5e' : '#8ab4f8', () => context.arc(x, y, 11, 0, 2 * Math.PI));
+    }
+    this.drawDot(x, y, [[6.5, 'rgb(0 0 0 / 0.8)'], [5.5, '#fff'], [4, cssColor(color)]]);
+    const cross = [[x - 3, y - 3, x + 3, y + 3], [x + 3, y - 3, x - 3, y + 3]];
+    if (isIgnore || isDoomed) stroked(context, 2, isDoomed ? '#ff3b30' : '#111', () => lines(context, cross.slice(0, isDoomed ? 2 : 1)));
+    if (!saved) {  // a broken ring until the program has it
+      context.setLineDash([3, 3]);
+      stroked(context, 1.5, '#fff', () => context.arc(x, y, 9.5, 0, 2 * Math.PI));
+      context.setLineDash([]);
+    }
+    if (showName && label) this.drawName(label, color, x, y);
+  }
+
+  drawName(name, color, x, y) {
+    const {context} = this;
+    context.font = '600 11px system-ui, sans-serif';
+    context.textBaseline = 'middle';
+    const width = context.measureText(name).width + 10;
+    const left = Math.max(2, Math.min(x + 10, this.screen.width - width - 2));
+    const top = Math.max(2, y - 8);
+    context.fillStyle = cssColor(color);
+    context.strokeStyle = 'rgb(0 0 0 / 0.8)';
+    context.lineWidth = 2;
+    context.beginPath();
+    context.roundRect(left, top, width, 16, 4);
+    context.stroke();
+    context.fill();
+    context.fillStyle = inkOn(color);
+    context.fillText(name, left + 5, top + 8.5);
+  }
+
+  /// Four lines about a point of the screen.
+  drawTicks(x, y, from, to, width, color) {
+    const ticks = [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([dx, dy]) => [x + dx * from, y + dy * from, x + dx * to, y + dy * to]);
+    outlined(this.context, width, color, () => lines(this.context, ticks));
+  }
+
+  drawRing(at) {
+    const [x, y] = toScreen(this.port, ...at);
+    outlined(this.context, 2.5, '#ffd54a', () => this.context.arc(x, y, 16, 0, 2 * Math.PI));
+    this.drawTicks(x, y, 21, 27, 2, '#ffd54a');
+  }
+
+  drawBrush({x, y, radius, color}) {
+    const {context} = this;
+    const [cx, cy] = toScreen(this.port, x, y);
+    const r = Math.max(radius * this.port.scale, 3);
+    outlined(context, 1, cssColor(color), () => context.arc(cx, cy, r, 0, 2 * Math.PI));
+  }
+
+  imageAt(x, y) { return toImage(this.port, x, y); }
+}
