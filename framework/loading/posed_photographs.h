@@ -1,5 +1,5 @@
-// The frames of a dataset that is made of image files: its plugin finds the photographs and says what its index has
-// of each; checks, splits, labels, masks and pixels are the same for all.
+// The frames of a dataset that is made of image files: its plugin finds the photographs and what its index says of
+// each; checks, splits, labels, masks and pixels are the same for all.
 #pragma once
 
 #include <cstddef>
