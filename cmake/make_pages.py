@@ -157,7 +157,7 @@ def filled(root, text):
 
 
 # The page of all codes of errors and findings, from the sources.
-FOLDERS = ("app", "framework", "plugins", "python")
+FOLDERS = ("app", "framework", "plugins", "python", "tests/numerics")
 EXIT_CODES = {"failure": 1, "usage": 2, "data": 65, "no_input": 66, "unavailable": 69, "internal": 70, "cannot_create": 73,
               "io": 74, "config": 78}
 IN_A_LIST = "in a list"

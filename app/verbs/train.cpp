@@ -235,6 +235,10 @@ struct EvalOptions : Options {
   using Options::Options;
   const std::string& run = operand("run", "run folder");
   const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames to score");
+  const std::string& protocol =
+      choice("--protocol NAME", "", protocol_names(),
+             "also mIoU and accuracies by the classes and void pixels of a published evaluation, with a checksum of "
+             "the truth");
   const std::string& out = value("--out FILE", "also write the JSON object to this file");
   const bool& refine_poses =
       flag("--refine-poses",
@@ -279,6 +283,43 @@ SplitScore score_frames(const Session& s, const EvalOptions& options, const std:
   return evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
 }
 
+ProtocolScore score_by_protocol(const EvalOptions& options, const Session& s, const SplitScore& score) {
+  if (!s.pipeline->has_semantics())
+    throw Error(ErrorKind::data, "run.semantics.none",
+                "--protocol " + options.protocol + ": " + options.run + " has no semantics",
+                "train with labels, or leave --protocol out");
+  return protocol_score(protocol_named(options.protocol), score.confusion, s.scene.info.classes);
+}
+
+Json protocol_json(const ProtocolScore& score, const Session& s, const std::vector<int>& frames) {
+  Json out{{"name", score.protocol.name},
+           {"cites", score.protocol.cites},
+           {"frames", Json::array()},
+           {"pooled", true},
+           {"void", score.protocol.void_rule},
+           {"void_classes", score.void_classes},
+           {"truth", truth_hash(frames, s.scene.info.frames, s.scene.frames, s.scene.info.classes)},
+           {"scored_px", score.scored_px},
+           {"miou", number_json<Json>(score.miou)},
+           {"total_accuracy", number_json<Json>(score.total_accuracy)},
+           {"average_accuracy", number_json<Json>(score.average_accuracy)},
+           {"classes", Json::array()}};
+  for (const int f : frames) out["frames"].push_back(s.scene.info.frames[static_cast<std::size_t>(f)].name);
+  for (const ProtocolClass& c : score.classes)
+    out["classes"].push_back({{"name", c.name}, {"truth_px", c.truth_px}, {"iou", number_json<Json>(c.iou)}});
+  return out;
+}
+
+void print_protocol(const Json& of) {
+  const auto figure = [&](const char* key) {
+    return of[key].is_null() ? std::string("-") : fmt::format("{:.4f}", of[key].get<double>());
+  };
+  std::printf("protocol: name=%s miou=%s total_accuracy=%s average_accuracy=%s frames=%zu classes=%zu truth=%s\n",
+              of["name"].get<std::string>().c_str(), figure("miou").c_str(), figure("total_accuracy").c_str(),
+              figure("average_accuracy").c_str(), of["frames"].size(), of["classes"].size(),
+              of["truth"].get<std::string>().c_str());
+}
+
 /// A line per value that there was something to score by; the names of the others.
 std::vector<std::string> print_values(const SplitScore& score, const char* how) {
   std::vector<std::string> missing;
@@ -295,6 +336,9 @@ std::vector<std::string> print_values(const SplitScore& score, const char* how) 
 }
 
 int run(const EvalOptions& options, AppContext& context) {
+  if (!options.protocol.empty() && options.split != "test")
+    throw Error(ErrorKind::usage, "eval.protocol.split", "--protocol " + options.protocol + ": scores held-out frames",
+                "leave --split out");
   const Split split = options.split == "test" ? Split::test : Split::train;
   Diagnostics diagnostics;  // whether the settings are the run's own is said there, and decides what is kept
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
@@ -309,6 +353,7 @@ int run(const EvalOptions& options, AppContext& context) {
                 options.run + ": the scene has no frames in split '" + options.split + "'", "see `semfield inspect`");
   const SplitScore score = score_frames(s, options, frames, context);
   Json found = results(run, score, options.split);
+  if (!options.protocol.empty()) found["protocol"] = protocol_json(score_by_protocol(options, s, score), s, frames);
   std::optional<SplitScore> refined;
   if (options.refine_poses || s.config.cameras.poses == CameraTrust::learned) {
     std::vector<FrameInfo> infos = s.scene.info.frames;
@@ -350,6 +395,7 @@ int run(const EvalOptions& options, AppContext& context) {
     std::printf("  %-20s %8s %8s %10lld\n", s.scene.info.classes.valid(static_cast<int>(c)).name.c_str(),
                 figure_text(k.iou).c_str(), figure_text(k.recall).c_str(), static_cast<long long>(k.truth_px));
   }
+  if (found.contains("protocol")) print_protocol(found["protocol"]);
   if (not_kept.empty())
     print_next(context, {{"report " + shell_word(options.run), "writes its report again, with these scores"}});
   return 0;

@@ -204,6 +204,16 @@ class Mesh(VerbCase):
         self.mesh("--resolution", 24, "--out", self.dir / "alone.html")
         self.assertFalse((self.dir / "alone.json").exists())
 
+    def test_eval_scores_by_a_protocol(self):
+        said = json.loads(self.ok(["eval", self.run_dir, "--protocol", "semantic_nerf", "--json"]).out)
+        of = said["protocol"]
+        self.assertEqual([of["miou"], of["total_accuracy"], len(of["frames"]), len(of["truth"])],
+                         [said["miou_present"], said["total_accuracy"], said["frames"], 8])
+        shown = self.ok(["eval", self.run_dir, "--protocol", "panoptic_lifting"]).out
+        self.has(shown, "protocol: name=panoptic_lifting miou=", f" truth={of['truth']}")
+        self.ended(["eval", self.run_dir, "--protocol", "semantic_nerf", "--split", "train"], 2,
+                   "[eval.protocol.split]", "--split")
+
 
 class Video(VerbCase):
     @needs_ffmpeg
