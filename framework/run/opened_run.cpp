@@ -9,7 +9,7 @@
 #include "config/compose.h"
 #include "core/text.h"
 #include "eval/final_eval.h"
-#include "labels/clicks/click_file.h"
+#include "labels/clicks/click_log.h"
 #include "model/camera_corrections.h"
 #include "plugin/loader.h"
 #include "run/run.h"
