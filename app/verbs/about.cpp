@@ -414,11 +414,7 @@ int explain(const ConfigWords& options, AppContext& context) {
 
 // config schema: the JSON schema of configurations.
 
-struct SchemaOptions : Options {
-  using Options::Options;
-};
-
-int run(const SchemaOptions&, AppContext& context) {
+int schema(const Options&, AppContext& context) {
   std::fputs(json_schema_of("Semfield configuration", describe_sections(&context.registry)).c_str(), stdout);
   return 0;
 }
@@ -440,8 +436,8 @@ Verb verb_config_explain() {
 }
 
 Verb verb_config_schema() {
-  return without_json(make_verb<SchemaOptions>("config schema", 40,
-                                               "print a JSON schema of configurations (and --plugin modules)", run));
+  return without_json(
+      make_verb<Options>("config schema", 40, "print a JSON schema of configurations (and --plugin modules)", schema));
 }
 
 // help: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.

@@ -456,7 +456,7 @@ CellValues values_of_run(const std::string& metrics_path, const std::string& spl
 }
 
 CellValues values_of_fusion(const std::string& json, const std::string& method) {
-  const Json root = parse(json, "result of semfield fuse");
+  const Json root = parse(json, "result of semfield labels fuse");
   for (const Json& row : root.is_object() ? root.value("scores", Json::array()) : Json::array()) {
     if (row.is_object() && row.value("method", "") == method) return numbers_of(row);
   }

@@ -15,6 +15,7 @@
 #include "model/param_store.h"
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "scene/scene.h"
+#include "session/checkpoint.h"
 #include "tests/session/gradient_hook.h"
 #include "tests/session/step_configs.h"
 
@@ -197,7 +198,7 @@ TEST_F(CudaRun, CheckpointsGoBothWays) {
     const TempDir dir;
     Training a(registry, hash_config(), first);
     a.train(40);
-    a.trainer.check_storable();
+    check_storable(a.session.pipeline->store(), 40);
     write_safetensors(dir / "state.safetensors", a.trainer.tensors(), {});
     Training b(registry, hash_config(), second);
     b.trainer.load(TensorFile::read(dir / "state.safetensors"), 40);

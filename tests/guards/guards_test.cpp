@@ -7,6 +7,7 @@
 #include "model/optim/adam.h"
 #include "model/stages.h"
 #include "run/run.h"
+#include "session/checkpoint.h"
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 
@@ -369,7 +370,7 @@ TEST(TensorInjectionOfTables, MomentsOutOfTheWindowAreFoundInTheirTurn) {
       const std::int64_t at = element_of(subject, t, false);
       ASSERT_GE(at, 0);
       (second ? t.moment2 : t.moment1).data()[at] = kNonFinite[0].value;
-      EXPECT_THROW(subject.trainer->check_storable(), Error);
+      EXPECT_THROW(check_storable(subject.store(), subject.trainer->step()), Error);
       std::string message;
       for (int i = 0; i < kTableWindows && message.empty(); ++i)
         message = error_of([&] { subject.trainer->advance(); });
@@ -381,7 +382,7 @@ TEST(TensorInjectionOfTables, MomentsOutOfTheWindowAreFoundInTheirTurn) {
 TEST_P(TensorInjection, NoCheckpointHoldsABadNumber) {
   Registry registry = testing_train::make_registry();
   Subject subject(yaml(), registry, 2);
-  EXPECT_NO_THROW(subject.trainer->check_storable());
+  EXPECT_NO_THROW(check_storable(subject.store(), subject.trainer->step()));
   for (Tensor<float>& t : subject.store().all()) {
     if (!is_stored(t.spec.role)) continue;
     for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
@@ -389,7 +390,7 @@ TEST_P(TensorInjection, NoCheckpointHoldsABadNumber) {
       float& place = buffer->data()[buffer->size() - 1];  // of a table: a row that perhaps no ray ever touched
       const float good = place;
       place = kNonFinite[0].value;
-      const std::string message = error_of([&] { subject.trainer->check_storable(); });
+      const std::string message = error_of([&] { check_storable(subject.store(), subject.trainer->step()); });
       place = good;
       EXPECT_HAS(message, "'" + t.name + "'", element_words(t, t.size() - 1));
     }
