@@ -64,8 +64,7 @@ constexpr int kQuality = 90;
 struct ViewPicture {
   FreeCamera camera;
   std::int32_t width_px = 0, height_px = 0;
-  std::string map;               // photo, class, object, entropy, depth or probability
-  int class_index = 0;           // of probability
+  std::string map;               // photo, class, object, entropy or depth
   double near_m = 0, far_m = 1;  // of depth's colours
 };
 
@@ -110,14 +109,13 @@ class ViewedRun {
                        json_text({{"fine", fine}, {"edits", edits}, {"state", shown_}}));
   }
 
-  // JPEG. Empty once `abandoned`. Throws Error(data) for a class that is not there, and for maps that the run lacks.
+  // JPEG. Empty once `abandoned`. Throws Error(data) for maps that the run lacks.
   std::vector<std::uint8_t> picture(const ViewPicture& wanted, const std::function<bool()>& abandoned) {
-    const bool of_class = wanted.map == "class" || wanted.map == "entropy" || wanted.map == "probability";
-    if (of_class) check_class(wanted.class_index);
+    if ((wanted.map == "class" || wanted.map == "entropy") && !run_.session.pipeline->has_semantics())
+      throw Error(ErrorKind::data, "run.semantics.none", run_.run_dir + ": the run has no semantics",
+                  "train with labels");
     FrameOptions options;
-    options.probability = wanted.map == "probability";
-    options.classes = run_.session.classes();
-    options.color = !(wanted.map == "entropy" || wanted.map == "depth" || wanted.map == "probability");
+    options.color = wanted.map != "entropy" && wanted.map != "depth";
     const RayCamera camera = wanted.camera.rays(wanted.width_px, wanted.height_px);
     std::vector<std::uint8_t> rgb;
     const std::int64_t rows_at_once = std::max<std::int64_t>(1, kBandRays / wanted.width_px);
@@ -161,21 +159,6 @@ class ViewedRun {
     if (id > 0)
       out["object"] = object_name(page_.objects->rows[static_cast<std::size_t>(id) - 1], s.scene.info.classes);
     return json_text(out);
-  }
-
-  // The probability of a class at every vertex of a mesh, 0 to 255. Throws Error(data) for a class that is not there.
-  std::string probability(int class_index, bool fine) {
-    check_class(class_index);
-    const std::shared_ptr<const RunSurface> made = surface(fine);
-    const Session& s = run_.session;
-    const Turn turn(*this, true);
-    const FieldPoints at =
-        field_at(*s.pipeline, made->surface.positions, {}, s.limits, s.plan.class_of_logit, s.classes());
-    std::string out;
-    for (std::size_t i = static_cast<std::size_t>(class_index); i < at.probability.size();
-         i += static_cast<std::size_t>(s.classes()))
-      out += static_cast<char>(std::lround(255 * std::clamp(at.probability[i], 0.0F, 1.0F)));
-    return out;
   }
 
   // Applies and keeps an edit of the objects that have the state `made_on`; none: takes the last one back. {"objects",
@@ -262,15 +245,6 @@ class ViewedRun {
     return surface_[which];
   }
 
-  void check_class(int class_index) const {
-    if (!run_.session.pipeline->has_semantics())
-      throw Error(ErrorKind::data, "run.semantics.none", run_.run_dir + ": the run has no semantics",
-                  "train with labels");
-    if (class_index < 0 || class_index >= run_.session.classes())
-      throw Error(ErrorKind::data, "view.class.unknown", fmt::format("class {} is not there", class_index),
-                  fmt::format("number them from 0 to {}", run_.session.classes() - 1));
-  }
-
   void paint(const ViewPicture& wanted, const RayCamera& band, const RenderedFrame& frame,
              std::vector<std::uint8_t>& rgb) const {
     const auto add = [&](const std::vector<std::uint8_t>& part) { rgb.insert(rgb.end(), part.begin(), part.end()); };
@@ -279,15 +253,6 @@ class ViewedRun {
     if (wanted.map == "depth") return add(depth_colors(frame.depth_m, wanted.near_m, wanted.far_m));
     if (wanted.map == "entropy")
       return add(entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size())));
-    if (wanted.map == "probability") {
-      const auto classes = static_cast<std::size_t>(run_.session.classes());
-      for (std::size_t i = 0; i < pixels; ++i) {
-        const auto color = perceptual_color(
-            static_cast<double>(frame.probability[i * classes + static_cast<std::size_t>(wanted.class_index)]));
-        rgb.insert(rgb.end(), color.begin(), color.end());
-      }
-      return;
-    }
     // Classes and objects keep the light of the picture, so that a form is seen.
     const std::vector<std::uint8_t> of_class = wanted.map == "class"
                                                    ? label_colors(frame.label, run_.session.scene.info.classes)
@@ -346,16 +311,15 @@ std::string word_in(const Json& root, const char* key) {
 bool is_fine(const HttpRequest& request) { return query_number(request.query, "fine", 0, 1) == 1; }
 
 HttpResponse picture_of(ViewedRun& run, const HttpRequest& request) {
-  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "class", "near", "far"});
+  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "near", "far"});
   ViewPicture wanted;
   wanted.camera = read_request_camera(kRequest.at(root, "camera"));
   wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
   wanted.height_px = request_number(root, "height", 1, kMostPictureSide);
   wanted.map = word_in(root, "map");
-  const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth", "probability"};
+  const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth"};
   if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
-    kRequest.refuse_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
-  wanted.class_index = request_number(root, "class", 0, 65535, 0);
+    kRequest.refuse_value("map", "photo, class, object, entropy or depth", root["map"]);
   if (wanted.map == "depth") {
     wanted.near_m = real_in(root, "near", 0, 1e9);
     wanted.far_m = real_in(root, "far", 0, 1e9);
@@ -381,12 +345,6 @@ PageHost::Places places_of(ViewedRun& run) {
   page.own_code = true;
   return {{"", {"GET", [page](const HttpRequest&) { return page; }}},
           {"surface", {"GET", [&run](const HttpRequest& r) { return bytes(run.scene(is_fine(r))); }}},
-          {"probability",
-           {"GET",
-            [&run](const HttpRequest& r) {
-              const auto index = static_cast<int>(query_number(r.query, "class", 0, 65535));
-              return bytes(run.probability(index, is_fine(r)));
-            }}},
           {"state",
            {"GET",
             [&run](const HttpRequest&) {

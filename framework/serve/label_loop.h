@@ -318,8 +318,6 @@ class LabelLoop {
   /// Pixels [height * width] of a view that have no label and are not proposed; empty: none of it.
   void set_ignored(int view, std::vector<bool> pixels) { ignored_[static_cast<std::size_t>(view)] = std::move(pixels); }
 
-  PointLearner& learner() { return learner_; }
-
  private:
   struct Named {
     PointRows rows;

@@ -1,6 +1,6 @@
 // The mesh as it comes in the file, and its drawing: one call per scene and picture.
 const canvas = document.getElementById("view");
-const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4, probability: 5};
+const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4};
 const kReading = 10;         // the mode of read(), which draws numbers beside the screen
 const kSlow_ms = 50;   // a picture that takes longer is drawn lighter while the camera moves
 const kLightCells = 64;  // along each side, of which a light mesh keeps a vertex each
@@ -69,19 +69,16 @@ layout(location = 0) in vec3 steps;
 layout(location = 1) in vec4 photo;
 layout(location = 2) in uint label;
 layout(location = 3) in uint object;
-layout(location = 4) in float probability;
 uniform mat4 clip_from_world, eye_from_world;
 uniform vec3 low, per_step;
 out vec4 color;
 out vec3 place;
-out float likely;
 flat out uint shown_label, shown_object;
 void main() {
   vec4 world = vec4(low + steps * per_step, 1.0);
   gl_Position = clip_from_world * world;
   place = (eye_from_world * world).xyz;
   color = photo;
-  likely = probability;
   shown_label = label;
   shown_object = object;
 }`;
@@ -90,7 +87,6 @@ precision highp float;
 precision highp int;
 in vec4 color;
 in vec3 place;
-in float likely;
 flat in uint shown_label, shown_object;
 uniform int mode;
 uniform uint classes;
@@ -118,7 +114,6 @@ void main() {
   if (mode == 2) shown = (shown_object == 0u ? 0.35 * vec3(dot(color.rgb, vec3(0.3, 0.6, 0.1))) + 0.12 : of_thing.rgb) * light;
   if (mode == 3) shown = ramped(color.a);
   if (mode == 4) shown = ramped((depths.y + place.z) / (depths.y - depths.x));
-  if (mode == 5) shown = ramped(likely);
   if (of_thing.a < 0.75) shown = mix(shown, vec3(1.0, 0.84, 0.29), 0.45);
   pixel = vec4(shown, 1.0);
 }`;
@@ -137,9 +132,7 @@ class Layer {
     gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 4, 0);
     this.object_buffer = this.buffer(gl.ARRAY_BUFFER, mesh.object);
     gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_SHORT, 2, 0);
-    this.likely_buffer = this.buffer(gl.ARRAY_BUFFER, new Uint8Array(this.vertices));
-    gl.vertexAttribPointer(4, 1, gl.UNSIGNED_BYTE, true, 1, 0);
-    for (const index of [0, 1, 2, 3, 4]) gl.enableVertexAttribArray(index);
+    for (const index of [0, 1, 2, 3]) gl.enableVertexAttribArray(index);
     this.fine = {buffer: this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners), count: mesh.corners.length};
     const colors = facts.classes.map((one) => one.color);
     this.classes = this.palette([...colors, [150, 150, 150]]);
@@ -167,7 +160,6 @@ class Layer {
     this.things = this.palette(colors);
     if (ids) this.fill(this.object_buffer, ids);
   }
-  set_probability(bytes) { this.fill(this.likely_buffer, bytes); }
   fill(buffer, data) {
     const gl = this.drawing.gl;
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);

@@ -58,7 +58,6 @@ class Live {
       for (const size of kSizes.filter((s) => s < longest).concat(Math.min(longest, kSizes.at(-1)))) {
         const scale = Math.min(1, size / longest);
         const wanted = {camera, width: Math.max(16, Math.round(scale * canvas.width)), height: Math.max(16, Math.round(scale * canvas.height)), map: page.mode, near, far};
-        if (page.mode === "probability") wanted.class = Number(byId("of-class").value);
         const image = await createImageBitmap(await (await this.ask("picture", wanted, pending.signal)).blob());
         if (pending.signal.aborted) return;
         this.image = image;
@@ -80,7 +79,7 @@ class Live {
     still.hidden = false;
   }
 
-  // ---- points, probabilities, objects
+  // ---- points, objects
 
   async ask_point(point) {
     try {
@@ -91,13 +90,6 @@ class Live {
     } catch (error) {
       this.note(error.message);
     }
-  }
-  async fetch_probability() {
-    const index = Number(byId("of-class").value), {layer} = this.page;
-    const bytes = new Uint8Array(await (await this.ask(`probability?class=${index}&fine=${layer.facts.fine ? 1 : 0}`)).arrayBuffer());
-    if (index !== Number(byId("of-class").value)) return;  // another was chosen meanwhile
-    if (bytes.length === layer.vertices) layer.set_probability(bytes);
-    this.page.change(true);
   }
   async edit(what) {
     const {facts} = this.page;

@@ -31,8 +31,6 @@ class Page {
     byId("title").textContent = document.title;
     byId("about").lastElementChild.append(...this.facts.about.map((line) => made("p", {textContent: line})));
     for (const mode of ["class", "entropy"]) byId(mode).hidden = !this.facts.labels;
-    byId("probability").hidden = !live || !this.facts.labels;
-    byId("of-class").append(...this.facts.classes.map((one, i) => made("option", {value: i, textContent: one.name})));
     byId("legend").hidden = !this.facts.labels;
     byId("inside").parentElement.hidden = this.facts.eye === undefined;
     if (canvas.clientWidth < 600 || canvas.clientHeight < 600) byId("legend").open = false;
@@ -55,7 +53,6 @@ class Page {
     old.drop();
     this.layer = layer;
     this.objects.refresh();
-    if (this.mode === "probability") this.live.fetch_probability();
     this.change();
   }
 
@@ -86,20 +83,17 @@ class Page {
   set_mode(mode) {
     this.mode = mode;
     for (const button of byId("colors").children) button.setAttribute("aria-pressed", button.id === mode);
-    byId("of-class").hidden = mode !== "probability";
-    if (mode === "probability") this.live.fetch_probability();
     this.change();
   }
   show_scale() {
     const [near, far] = this.camera.depths(), unit = this.facts.unit;
-    const ends = {entropy: ["sure", "in doubt"], probability: ["0", "1"], depth: [`${length_text(far, this.facts, 2)} ${unit}`, `${length_text(near, this.facts, 2)} ${unit}`]}[this.mode];
+    const ends = {entropy: ["sure", "in doubt"], depth: [`${length_text(far, this.facts, 2)} ${unit}`, `${length_text(near, this.facts, 2)} ${unit}`]}[this.mode];
     byId("scale").hidden = ends === undefined;
     if (ends !== undefined) [byId("scale").firstElementChild.textContent, byId("scale").lastElementChild.textContent] = ends;
   }
 
   listen_buttons() {
     for (const button of byId("colors").children) button.addEventListener("click", () => this.set_mode(button.id));
-    byId("of-class").addEventListener("change", () => this.set_mode("probability"));
     const picture = byId("scale").querySelector("canvas").getContext("2d");
     for (let i = 0; i < 256; ++i) {
       picture.fillStyle = `rgb(${this.drawing.ramp.bytes.slice(4 * i, 4 * i + 3)})`;
