@@ -1,18 +1,16 @@
-// What pages request, as it comes over the wire: JSON read strictly, numbers of queries; and the JSON and errors
-// that they get. Every refusal is Error(data) with a sentence that names the key.
+// What pages request, as it comes over the wire: JSON read strictly, and numbers of queries. Every refusal is
+// Error(data) with a sentence that names the key.
 #pragma once
 
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "app/json_output.h"
-#include "app/serve/http_server.h"
 #include "core/error.h"
 #include "eval/evaluator.h"
 #include "labels/strict_json.h"
@@ -79,17 +77,5 @@ std::optional<std::string_view> query_value(std::string_view query, std::string_
 
 /// The same as a whole number from 0 to `most`; `otherwise` where it is missing. Throws Error(data).
 std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most);
-
-// What is answered.
-
-/// {"error", "code", "remedy"}.
-std::string error_json(Code code, const std::string& message, const std::string& remedy);
-/// Texts of files and folders may be no UTF-8; numbers that are none become null.
-HttpResponse json_answer(const Json& json);
-/// What `answer` returns, or what it throws as such a response: what the client did wrong is 400; what could not be
-/// kept or made now is 503.
-HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept;
-/// 405 at an address that takes another method.
-HttpResponse wrong_method(const char* allowed);
 
 }  // namespace semfield::app

@@ -274,6 +274,43 @@ std::string kept_token(const std::string& run_dir) {
   return token;
 }
 
+namespace {
+
+int status_of(ErrorKind kind) {
+  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
+  return kind == ErrorKind::internal ? 500 : 503;
+}
+
+}  // namespace
+
+std::string error_json(Code code, const std::string& message, const std::string& remedy) {
+  return json_text({{"error", message}, {"code", code.text()}, {"remedy", remedy}});
+}
+
+HttpResponse json_answer(const Json& json) { return {200, "application/json", json_text(json)}; }
+
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept {
+  try {
+    try {
+      return answer();
+    } catch (const Error& e) {
+      return {status_of(e.kind()), "application/json", error_json(e.code(), e.message(), e.remedy())};
+    } catch (const std::exception& e) {
+      return {500, "application/json",
+              error_json("internal.exception", std::string("internal error: ") + e.what(), "")};
+    }
+  } catch (const std::exception&) {  // no memory
+    return {500, "text/plain", ""};
+  }
+}
+
+HttpResponse wrong_method(const char* allowed) {
+  HttpResponse wrong{405, "application/json",
+                     error_json("serve.request.method", "this address takes another method", "")};
+  wrong.allow = allowed;
+  return wrong;
+}
+
 std::string PageHost::url() const {
   return fmt::format("http://{}:{}/{}/", address_ == kEveryAddress ? "127.0.0.1" : address_, port_, token_);
 }

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "app/json_output.h"
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
 #include "core/non_copyable.h"
@@ -42,6 +43,18 @@ std::map<std::string, PageFile> read_page_files(const std::string& folder);
 /// keeps its id. A copy, whose original is still where it was, is another run: it gets an id of its own, and its
 /// serve_token goes, so that a page of the original does not go on with the copy. Throws as new_token, and write_error.
 std::string kept_run_id(const std::string& run_dir);
+
+// What is answered.
+
+/// {"error", "code", "remedy"}.
+std::string error_json(Code code, const std::string& message, const std::string& remedy);
+/// Texts of files and folders may be no UTF-8; numbers that are none become null.
+HttpResponse json_answer(const Json& json);
+/// What `answer` returns, or what it throws as such a response: what the client did wrong is 400; what could not be
+/// kept or made now is 503.
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept;
+/// 405 at an address that takes another method.
+HttpResponse wrong_method(const char* allowed);
 
 /// What the labelling page and the viewer have in common: an address with a secret, and the places below it.
 class PageHost : NonCopyable {

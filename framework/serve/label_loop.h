@@ -142,6 +142,12 @@ struct LabelledPixels {
   double weight = 1;  ///< below 1: given by the configuration, and a click may say otherwise
 };
 
+/// Pixels of a view of this size that the mark paints (runs_of); the first point's own comes first, or one in the
+/// middle of an outline. With `painted`
+/// [height * width], those alone that still have the mark's class.
+std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px,
+                                  std::span<const std::int16_t> painted = {});
+
 /// A stroke says itself what it covers; a click, which has fewer pixels, names what looks alike around it too.
 inline constexpr std::size_t kMostClickPixels = 9;
 inline bool is_stroke(const LabelledPixels& named) { return named.pixels.size() > kMostClickPixels; }
@@ -199,9 +205,9 @@ struct LabelState {
   std::vector<ViewState> views;
   std::optional<ProposalState> proposal;
   std::vector<Annotations::Mark> marks;  ///< Mark::frame: a frame of the scene; see LabelSession::view_of
-  std::vector<std::string> notes;  ///< warnings of the scene and the run
-  std::string trouble;             ///< not empty: files of the run could not be written; it goes on, and tries again
-  std::string failure;             ///< not empty: training has ended with this; what was labelled is safe
+  std::vector<std::string> notes;        ///< warnings of the scene and the run
+  std::string trouble;  ///< not empty: files of the run could not be written; it goes on, and tries again
+  std::string failure;  ///< not empty: training has ended with this; what was labelled is safe
 };
 
 struct PictureRequest {

@@ -102,12 +102,4 @@ std::optional<StoredSize> stored_size_of(const FrameInfo& frame);
 /// `rendered`: by `size`'s camera and stride. Labels [height * width] of the stored image; throws as read_rgb.
 std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered);
 
-// Which pixels of a view a click or a stroke names.
-
-/// Pixels of a view of this size that the mark paints (runs_of); the first point's own comes first, or one in the
-/// middle of an outline. With `painted`
-/// [height * width], those alone that still have the mark's class.
-std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px,
-                                  std::span<const std::int16_t> painted = {});
-
 }  // namespace semfield
