@@ -1,0 +1,271 @@
+// eval and report: what came out of training.
+#include <fmt/format.h>
+
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "app/json_output.h"
+#include "app/render/run_surface.h"
+#include "app/scene/inspect_report.h"
+#include "app/terminal.h"
+#include "app/verb.h"
+#include "core/error.h"
+#include "core/text.h"
+#include "eval/evaluator.h"
+#include "eval/final_eval.h"
+#include "eval/metrics.h"
+#include "report/report.h"
+#include "run/run.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+// eval: metrics of a split as a table or one JSON object.
+
+namespace {
+
+struct EvalOptions : Options {
+  using Options::Options;
+  const std::string& run = operand("run", "run folder");
+  const std::string& split = choice("--split SPLIT", "test", {"test", "train"}, "frames to score");
+  const std::string& protocol =
+      choice("--protocol NAME", "", protocol_names(),
+             "also mIoU and accuracies by the classes and void pixels of a published evaluation, with a checksum of "
+             "the truth");
+  const std::string& out = value("--out FILE", "also write the JSON object to this file");
+  const bool& refine_poses =
+      flag("--refine-poses",
+           "score once more with poses of the frames fitted to the field, where they are not given to a pixel; always "
+           "where the run has learned poses");
+  const bool& fit_colors =
+      flag("--fit-colors",
+           "score colours once more, each half of a frame under the map of colours that fits the other half; always "
+           "where the run has learned colours");
+  const std::vector<std::string>& set = run_settings();
+};
+
+Json results(const OpenedRun& run, const SplitScore& score, const std::string& split) {
+  const ClassTable& table = run.session.scene.info.classes;
+  Json out;
+  out["run"] = run.run_dir;
+  out["split"] = split;
+  out["step"] = run.step;
+  out["train_s"] = run.train_s;
+  out["frames"] = score.frames.size();
+  out["pixels"] = score.pixels;
+  for (const auto& [name, value] : score.values()) out[name] = number_json<Json>(value);
+  const std::vector<ClassScore> classes = score.confusion.per_class();
+  for (std::size_t c = 0; c < classes.size(); ++c)
+    out["per_class_iou"][table.valid(static_cast<int>(c)).name] = number_json<Json>(classes[c].iou);
+  // Confusion matrix, reliability bins and scores of every frame, as in a run folder's final_eval.json.
+  FinalEval detail = final_eval(score, table, split);
+  detail.step = run.step;
+  detail.train_s = run.train_s;
+  out.update(Json::parse(final_eval_json(detail)));
+  return out;
+}
+
+SplitScore score_frames(const Session& s, const EvalOptions& options, const std::vector<int>& frames,
+                        const AppContext& context, const std::vector<FrameInfo>* infos = nullptr) {
+  EvalJob job = s.eval_job(frames);
+  if (infos != nullptr) job.infos = infos;
+  job.fit_colors = job.fit_colors || options.fit_colors;
+  if (options.split == "train") job.given = &s.labels;
+  ProgressLine progress(context, "scored");
+  job.progress = [&](double done) { progress.show(done, static_cast<double>(frames.size())); };
+  return evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
+}
+
+ProtocolScore score_by_protocol(const EvalOptions& options, const Session& s, const SplitScore& score) {
+  if (!s.pipeline->has_semantics())
+    throw Error(ErrorKind::data, "run.semantics.none",
+                "--protocol " + options.protocol + ": " + options.run + " has no semantics",
+                "train with labels, or leave --protocol out");
+  return protocol_score(protocol_named(options.protocol), score.confusion, s.scene.info.classes);
+}
+
+Json protocol_json(const ProtocolScore& score, const Session& s, const std::vector<int>& frames) {
+  Json out{{"name", score.protocol.name},
+           {"cites", score.protocol.cites},
+           {"frames", Json::array()},
+           {"pooled", true},
+           {"void", score.protocol.void_rule},
+           {"void_classes", score.void_classes},
+           {"truth", truth_hash(frames, s.scene.info.frames, s.scene.frames, s.scene.info.classes)},
+           {"scored_px", score.scored_px},
+           {"miou", number_json<Json>(score.miou)},
+           {"total_accuracy", number_json<Json>(score.total_accuracy)},
+           {"average_accuracy", number_json<Json>(score.average_accuracy)},
+           {"classes", Json::array()}};
+  for (const int f : frames) out["frames"].push_back(s.scene.info.frames[static_cast<std::size_t>(f)].name);
+  for (const ProtocolClass& c : score.classes)
+    out["classes"].push_back({{"name", c.name}, {"truth_px", c.truth_px}, {"iou", number_json<Json>(c.iou)}});
+  return out;
+}
+
+void print_protocol(const Json& of) {
+  const auto figure = [&](const char* key) {
+    return of[key].is_null() ? std::string("-") : fmt::format("{:.4f}", of[key].get<double>());
+  };
+  std::printf("protocol: name=%s miou=%s total_accuracy=%s average_accuracy=%s frames=%zu classes=%zu truth=%s\n",
+              of["name"].get<std::string>().c_str(), figure("miou").c_str(), figure("total_accuracy").c_str(),
+              figure("average_accuracy").c_str(), of["frames"].size(), of["classes"].size(),
+              of["truth"].get<std::string>().c_str());
+}
+
+/// A line per value that there was something to score by; the names of the others.
+std::vector<std::string> print_values(const SplitScore& score, const char* how) {
+  std::vector<std::string> missing;
+  for (const auto& [name, value] : score.values()) {
+    if (value) {
+      const bool small = *value != 0 && std::abs(*value) < 1e-3;  // a length of a scene in another unit
+      std::printf("  %-20s %s%s\n", name.c_str(),
+                  (small ? fmt::format("{:.4g}", *value) : fmt::format("{:.4f}", *value)).c_str(), how);
+    } else {
+      missing.push_back(name);
+    }
+  }
+  return missing;
+}
+
+int run(const EvalOptions& options, AppContext& context) {
+  if (!options.protocol.empty() && options.split != "test")
+    throw Error(ErrorKind::usage, "eval.protocol.split", "--protocol " + options.protocol + ": scores held-out frames",
+                "leave --split out");
+  const Split split = options.split == "test" ? Split::test : Split::train;
+  Diagnostics diagnostics;  // whether the settings are the run's own is said there, and decides what is kept
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
+                           split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames,
+                           context.ranks.get());
+  context.adopt(run.session.config);
+  print_findings(context, diagnostics);
+  Session& s = run.session;
+  const std::vector<int> frames = s.scene.frames_of(split);
+  if (frames.empty())
+    throw Error(ErrorKind::data, "scene.split.empty",
+                options.run + ": the scene has no frames in split '" + options.split + "'", "see `semfield inspect`");
+  const SplitScore score = score_frames(s, options, frames, context);
+  Json found = results(run, score, options.split);
+  if (!options.protocol.empty()) found["protocol"] = protocol_json(score_by_protocol(options, s, score), s, frames);
+  std::optional<SplitScore> refined;
+  if (options.refine_poses || s.config.cameras.poses == CameraTrust::learned) {
+    std::vector<FrameInfo> infos = s.scene.info.frames;
+    const std::vector<Pose> poses = refine_poses(s, context.registry, frames);
+    for (std::size_t i = 0; i < frames.size(); ++i)
+      infos[static_cast<std::size_t>(frames[i])].world_from_camera = poses[i];
+    refined = score_frames(s, options, frames, context, &infos);
+    for (const auto& [name, value] : refined->values()) found["refined_poses"][name] = number_json<Json>(value);
+  }
+  const std::string not_kept = keep_scores(run, options.split, score, refined ? &*refined : nullptr, diagnostics);
+  if (!not_kept.empty()) print_note(context, "the run's folder does not keep these scores: " + not_kept);
+  if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
+  if (context.json) {
+    print_json(context, found);
+    return 0;
+  }
+  std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),
+              options.split.c_str(), static_cast<long long>(run.step), run.train_s);
+  const std::vector<std::string> missing = print_values(score, "");
+  if (refined) print_values(*refined, " with refined poses");
+  if (!missing.empty()) std::printf("  %-20s %s\n", "no data for", join(missing).c_str());
+  const bool has_labels = score.confusion.scored_px() > 0;
+  if (!has_labels)
+    print_note(context, "no frame of split '" + options.split + "' has labels to score against" +
+                            (split == Split::test ? "; --split train compares with the labels given" : ""));
+  if (const std::string warning = score.resolution.warning(); !warning.empty())
+    print_note(context, "warning: " + warning);
+  if (split == Split::train) {
+    const ConfusionMatrix given = score_training_labels(s, frames);
+    if (given.scored_px() > 0)
+      std::printf("  %-20s miou_present %.4f, total_accuracy %.4f over %lld pixels\n", "labels given",
+                  *given.miou_present(), *given.total_accuracy(), static_cast<long long>(given.scored_px()));
+  }
+  const std::vector<ClassScore> classes = score.confusion.per_class();
+  if (has_labels) std::printf("  %-20s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
+  for (std::size_t c = 0; c < classes.size(); ++c) {
+    const ClassScore& k = classes[c];
+    if (k.truth_px == 0 && k.predicted_px == 0) continue;
+    std::printf("  %-20s %8s %8s %10lld\n", s.scene.info.classes.valid(static_cast<int>(c)).name.c_str(),
+                figure_text(k.iou).c_str(), figure_text(k.recall).c_str(), static_cast<long long>(k.truth_px));
+  }
+  if (found.contains("protocol")) print_protocol(found["protocol"]);
+  if (not_kept.empty())
+    print_next(context, {{"report " + shell_word(options.run), "writes its report again, with these scores"}});
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_eval() {
+  return make_verb<EvalOptions>("eval", 20, "evaluate a run's field on a split, and keep the scores for its report",
+                                run, Launch::ranks);
+}
+
+// report: error against run time of one or several runs, one self-contained page; or whether two are the same training.
+
+namespace {
+
+struct ReportOptions : Options {
+  explicit ReportOptions(const Declaration& at) : Options(at) {
+    excludes("--equal", "--no-3d");
+    excludes("--equal", "--out");
+  }
+  const std::vector<std::string>& runs = operands("run", "run folders");
+  const bool& flat = flag("--no-3d", "leave out the view of the first run in 3D");
+  const std::string& out = value("--out FILE", "file to write (default: report.html of the first run)");
+  const bool& equal =
+      flag("--equal",
+           "instead of a page: whether two runs are the same training, bit by bit; times, threads and places do not "
+           "count");
+};
+
+// A report needs no scene, a view of it does: where the run does not open, the note says why.
+std::string scene_of(const std::string& run_dir, AppContext& context) {
+  try {
+    const OpenedRun run = run_of(run_dir, {}, OpenFor::rendering, context);
+    return report_scene(run.session, run_dir, run.step, context);
+  } catch (const Error& e) {
+    print_note(context, "no view in 3D in the report: " + e.message());
+    return {};
+  }
+}
+
+// 0 where they are.
+int compare(const ReportOptions& options, AppContext& context) {
+  if (options.runs.size() != 2)
+    throw Error(ErrorKind::usage, "usage.word.missing",
+                fmt::format("report --equal: compares two runs, not {}", options.runs.size()), "name two run folders");
+  Diagnostics diagnostics;
+  const RunComparison found = compare_runs(options.runs[0], options.runs[1], context.registry, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.shown());
+  const bool equal = found.difference.empty();
+  Json out{{"equal", equal}};
+  if (equal) {
+    out.update({{"step", found.step}, {"tensors", found.tensors}});
+  } else {
+    out["difference"] = found.difference;
+  }
+  print_results(context, out,
+                equal ? fmt::format("report: equal step={} tensors={}", found.step, found.tensors)
+                      : "report: different: " + found.difference);
+  return equal ? 0 : static_cast<int>(ErrorKind::failure);
+}
+
+int run(const ReportOptions& options, AppContext& context) {
+  if (options.equal) return compare(options, context);
+  const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
+  const std::string data = read_report(options.runs);
+  write_file_atomic(path, report_page(data, options.flat ? "" : scene_of(options.runs.front(), context)));
+  print_results(context, {{"runs", options.runs}, {"file", path}},
+                fmt::format("report: runs={} file={}", options.runs.size(), path));
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_report() {
+  return make_verb<ReportOptions>("report", 40, "write one HTML page about runs, or compare two bit by bit", run);
+}
+
+}  // namespace semfield::app
