@@ -68,7 +68,8 @@ def read_cases(path):
             continue
         if verb in ("is", "holds", "lacks", "same", "shows", "near"):
             file, _, what = rest.partition(" ")
-            now.files.append((verb, file, unescaped(what)))
+            for one in cases[first:]:
+                one.files.append((verb, file, unescaped(what)))
         elif verb in ("run", "within", "writes_within", "says", "never", "and"):
             assert in_case or verb == "run", f"{place}: '{verb}' before any case"
             for one in cases[first:] if in_case else [now]:
@@ -110,10 +111,13 @@ def numbers(words):
 
 
 def png(width, height, kind, values):
-    """A value for each pixel, or one for all. As the program's own writer has it: colour by the Paeth filter, everything else unfiltered."""
+    """A value for each pixel or its channels, or one for all. As the program's own writer has it: colour by the Paeth filter, everything else unfiltered."""
     bits, color = {"gray8": (8, 0), "gray16": (16, 0), "rgb": (8, 2), "palette": (8, 3)}[kind]
-    pack = (lambda v: struct.pack(">H", v & 65535)) if bits == 16 else (lambda v: bytes([v & 255] * (3 if color == 2 else 1)))
-    pixels = [pack(v) for v in (values * width * height if len(values) == 1 else values)]
+    if kind == "rgb" and len(values) == 3 * width * height:
+        pixels = [bytes(values[i:i + 3]) for i in range(0, len(values), 3)]
+    else:
+        pack = (lambda v: struct.pack(">H", v & 65535)) if bits == 16 else (lambda v: bytes([v & 255] * (3 if color == 2 else 1)))
+        pixels = [pack(v) for v in (values * width * height if len(values) == 1 else values)]
     rows = [b"\0" + b"".join(pixels[width * y:width * (y + 1)]) for y in range(height)]
     if kind == "rgb" and len(values) == 1:  # what every neighbour predicts is there
         rows = [b"\4" + (pixels[0] if y == 0 else b"\0" * 3) + b"\0" * 3 * (width - 1) for y in range(height)]

@@ -1,4 +1,5 @@
-// Label images, class probabilities and clicks: values to classes, names of files, every refusal.
+// Class probabilities, outlines to pixels, label files to frames, labels that train. Label images, clicks, labelme and
+// COCO: tests/bad_files/labels.cases.
 
 #include <algorithm>
 #include <set>
@@ -20,79 +21,6 @@ namespace {
 
 using namespace testing_labels;
 using testing_room::fresh_folder;
-
-// --- images ---
-
-std::unique_ptr<LabelReader> images(const std::string& folder, const std::string& rest) {
-  return make_reader("images", "folder: " + folder + "\n" + rest + "\n");
-}
-
-TEST(LabelImages, IdsPalettesAndColours) {
-  const std::string folder = fresh_folder("t");
-  const std::vector<std::uint8_t> ids{0, 1, 4, 7};
-  write_png_gray8(folder + "/semantic_class_12.png", 2, 2, ids);
-  auto reader = images(folder, "pattern: 'semantic_class_{number}.png'");
-  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("rgb_12"), room_table())), (Rows{".0", "12"}));
-  EXPECT_FALSE(reader->has(frame_of("rgb_1")));
-  EXPECT_FALSE(reader->has(frame_of("rgb"))) << "no number";
-
-  const std::vector<std::uint8_t> palette(8 * 3, 200);
-  write_png_palette(folder + "/p.png", 2, 2, ids, palette);
-  reader = images(folder, "kind: palette\npattern: '{stem}.png'");
-  FrameInfo frame = frame_of("a/b");
-  frame.source = "/x/p.jpg";
-  EXPECT_EQ(rows_of(read_labels(*reader, frame, room_table())), (Rows{".0", "12"}));
-
-  const std::vector<std::uint8_t> rgb{0, 0, 0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
-  write_png_rgb(folder + "/c.png", 2, 2, rgb);
-  reader = images(folder, "kind: color");
-  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c"), room_table())), (Rows{".0", "12"}));
-  write_file_atomic(folder + "/colors.csv", std::string_view("r,g,b,name\n0,0,0,table\n10,20,30,\"chair\"\n40,50,60,"
-                                                             "void\n70,80,90,chair\n"));
-  reader = images(folder, "kind: color\nfile: " + folder + "/colors.csv");
-  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c"), room_table())), (Rows{"21", ".1"}));
-  // Without a table of the scene: names in the order of the file, with its colours.
-  Diagnostics d;
-  const ClassTable table = open_for(*reader, {}, {frame_of("c")}, d);
-  ASSERT_EQ(table.valid_count(), 2);
-  EXPECT_EQ(table.valid(0).name, "table");
-  EXPECT_EQ(table.valid(1).color, (std::array<std::uint8_t, 3>{10, 20, 30}));
-  EXPECT_EQ(rows_of(reader->read(frame_of("c"), table)), (Rows{"01", ".1"}));
-}
-
-TEST(LabelImages, ColumnsOfTheTableOfColoursAreReadByTheirNames) {
-  const std::string folder = fresh_folder("t");
-  const std::vector<std::uint8_t> rgb{1, 2, 3, 10, 20, 30};
-  write_png_rgb(folder + "/c.png", 2, 1, rgb);
-  write_file_atomic(folder + "/colors.csv",
-                    std::string_view("id,name,red,green,blue\n0,__ignore__,1,2,3\n1,chair,10,20,30\n"));
-  auto reader = images(folder, "kind: color\nfile: " + folder + "/colors.csv");
-  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c", 2, 1), room_table())), (Rows{".1"}));
-}
-
-TEST(LabelImages, AClassTableForASceneWithoutOne) {
-  const std::string folder = fresh_folder("t");
-  write_file_atomic(folder + "/classes.csv", std::string_view("class_id,class\n0,void\n1,wall\n5,lamp\n"));
-  const std::vector<std::uint8_t> ids{0, 1, 5, 9};
-  write_png_gray8(folder + "/a.png", 2, 2, ids);
-  auto reader = images(folder, "unknown: void\nclasses: " + folder + "/classes.csv");
-  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("a"), {})), (Rows{".0", "1."}));
-}
-
-// Broken files and tables: tests/bad_files/labels.cases.
-TEST(LabelImages, WhatTheTablesDoNotSettleIsRefused) {
-  const std::string folder = fresh_folder("t"), csv = folder + "/c.csv";
-  const auto opened = [&](const std::string& rest, const ClassTable& known) {
-    return open_findings(*images(folder, rest), known);
-  };
-  EXPECT_HAS(opened("", {}), "no class table", "scene.labels.from.classes");
-  const ClassTable alike({{1, "a", {1, 1, 1}, false}, {2, "b", {1, 1, 1}, false}});
-  EXPECT_HAS(opened("kind: color", alike), "same colour");
-  write_file_atomic(csv, std::string_view("1,2,3,\"wall\n"));
-  EXPECT_HAS(opened("kind: color\nfile: " + csv, room_table()), csv + ":1: a quote");
-  write_file_atomic(csv, std::string_view("\n"));
-  EXPECT_HAS(opened("kind: color\nfile: " + csv, room_table()), csv + ": no colours");
-}
 
 // --- class probabilities ---
 
@@ -174,30 +102,6 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
   EXPECT_HAS(error_of([&] { (void)c.reader("key: ''"); }), "no array is named");
 }
 
-// --- clicks ---
-
-TEST(Clicks, PixelsAndDiscsInAVoidImage) {
-  const std::string file = fresh_folder("t") + "/clicks.csv";
-  auto reader = make_reader("clicks", "file: " + file);
-  write_file_atomic(
-      file, std::string_view("frame,x,y,class,radius\nrgb_1,3,0,table,1\n\nrgb_1,0,2,\"wall\"\nrgb_1,1,2,void,\n"));
-  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("rgb_1"), room_table())), (Rows{"..22", "...2", "0..."}));
-  EXPECT_FALSE(reader->has(frame_of("rgb_2")));
-  // A frame loaded at half its stored size: coordinates are those of the stored image, and no click gets lost.
-  const std::string stored = fresh_folder("images") + "/rgb_1.png";
-  write_png_gray8(stored, 8, 6, std::vector<std::uint8_t>(48));
-  write_file_atomic(file, std::string_view("rgb_1,7,5,table\nrgb_1,0,0,chair\n"));
-  FrameInfo frame = frame_of("rgb_1");
-  frame.source = stored;
-  EXPECT_EQ(rows_of(read_labels(*reader, frame, room_table())), (Rows{"1...", "....", "...2"}));
-  Diagnostics d;
-  const ClassTable table = reader->open({}, d);
-  EXPECT_EQ(table.valid(0).name, "chair");
-  EXPECT_EQ(table.valid(1).name, "table");
-}
-
-// labelme and COCO: shapes to pixels, names to classes, every refusal.
-
 // --- filling ---
 
 Rows filled(const Outline& outline, int width, int height) {
@@ -257,16 +161,6 @@ struct LabelmeCase {
   void write(const std::string& name, const std::string& text) const { write_file_atomic(folder + "/" + name, text); }
 };
 
-TEST(Labelme, ShapesAreFilledInTheirOrder) {
-  LabelmeCase c;
-  c.write("rgb_3.json",
-          labelme(shape("wall", "polygon", "[[0,0],[6,0],[6,4],[0,4]]") + "," +
-                  shape("chair", "rectangle", "[[4,3],[1,1]]") + "," +
-                  shape("table", "circle", "[[4.5,2.5],[5.5,2.5]]") + "," + shape("void", "point", "[[6,0.2]]")));
-  EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())),
-            (Rows{"00000.", "011120", "011222", "000020"}));
-}
-
 TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
   LabelmeCase c;
   c.write("mine.json", labelme(shape("table", "point", "[[0.5,0.5]]") + "," + shape("chair", "point", "[[1,1]]"),
@@ -297,14 +191,6 @@ TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
              "there is no labelme file for frame '0019'");
 }
 
-TEST(Labelme, VoidWordsOfToolsAreVoid) {
-  LabelmeCase c;
-  c.write("rgb_3.json", labelme(shape("chair", "rectangle", "[[0,0],[6,4]]") + "," +
-                                    shape("__ignore__", "rectangle", "[[0,0],[2,4]]"),
-                                "rgb_3.png"));
-  EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), {}))[0], "..0000");
-}
-
 TEST(Labelme, ManyProblemsAreCounted) {
   LabelmeCase c;
   for (int i = 0; i < 30; ++i) c.write(std::to_string(i) + ".json", "[");
@@ -315,94 +201,6 @@ TEST(Labelme, ManyProblemsAreCounted) {
 }
 
 // --- COCO ---
-
-const std::string kCategories =
-    R"("categories": [{"id": 1, "name": "wall"}, {"id": 4, "name": "chair"}, {"id": 9, "name": "table"}])";
-
-std::string coco(const std::string& annotations, const std::string& categories = kCategories) {
-  return R"({"images": [{"id": 5, "file_name": "train/rgb_3.png", "width": 4, "height": 3},
-    {"id": 6, "file_name": "rgb_4.png", "width": 4, "height": 3}], "annotations": [)" +
-         annotations + "], " + categories + "}";
-}
-std::string note(int category, const std::string& segmentation, int image = 5) {
-  return R"({"id": 1, "image_id": )" + std::to_string(image) + R"(, "category_id": )" + std::to_string(category) +
-         R"(, "segmentation": )" + segmentation + "}";
-}
-
-struct CocoCase {
-  std::string file = fresh_folder("t") + "/instances.json";
-  std::unique_ptr<LabelReader> reader = make_reader("coco", "file: " + file);
-  std::string findings(const std::string& text, const ClassTable& known = room_table()) {
-    write_file_atomic(file, text);
-    return open_findings(*reader, known);
-  }
-};
-
-TEST(Coco, PolygonsAndBothRunLengthsAndSmallOnesStayVisible) {
-  CocoCase c;
-  // The chair comes first and is smaller than the wall. Counts go down the columns of a 4 x 3 image.
-  const std::string wall = note(1, "[[0,0,4,0,4,3,0,3]]");
-  for (const std::string chair :
-       {"[[1,1,2,1,2,3,1,3],[3,0,4,0,4,1,3,1]]", R"({"size": [3, 4], "counts": [4, 2, 3, 1, 2]})",
-        R"({"size": [3, 4], "counts": "423OO"})"}) {
-    EXPECT_EQ(c.findings(coco(note(4, chair) + "," + wall)), "") << chair;
-    EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())), (Rows{"0001", "0100", "0100"}))
-        << chair;
-  }
-  EXPECT_FALSE(c.reader->has(frame_of("rgb_4")));
-  EXPECT_FALSE(c.reader->has(frame_of("rgb_5")));
-}
-
-TEST(Coco, WithoutATableIdsAreKept) {
-  CocoCase c;
-  ASSERT_EQ(c.findings(coco(note(9, "[[0,0,4,0,4,3,0,3]]"))), "");
-  Diagnostics d;
-  const ClassTable table = open_for(*c.reader, {}, {frame_of("rgb_3")}, d);
-  EXPECT_EQ(table.index_of(9), 2);
-  EXPECT_EQ(table.index_of(4), 1);
-  EXPECT_EQ(table.index_of(0), kVoid);
-  // With the scene's table it is the name that counts: table is 7 there.
-  EXPECT_EQ(rows_of(c.reader->read(frame_of("rgb_3"), room_table()))[0], "2222");
-  ASSERT_EQ(c.findings(coco(note(0, "[[0,0,4,0,4,3,0,3]]"), R"("categories": [{"id": 0, "name": "person"}])"), {}), "");
-  const ClassTable zero = c.reader->open({}, d);
-  EXPECT_EQ(zero.index_of(0), 0);
-  EXPECT_EQ(zero.index_of(1), kVoid);
-}
-
-// As Roboflow writes them: a group that is called as its only class.
-TEST(Coco, CategoriesOfOneNameAreOneClass) {
-  CocoCase c;
-  const std::string twins =
-      R"("categories": [{"id": 0, "name": "Lodged"}, {"id": 1, "name": "Lodged"}, {"id": 2, "name": "_background_"}])";
-  write_file_atomic(c.file, coco(note(1, "[[0,0,4,0,4,3,0,3]]") + "," + note(2, "[[0,0,1,0,1,1,0,1]]"), twins));
-  Diagnostics d;
-  const ClassTable table = open_for(*c.reader, {}, {frame_of("rgb_3")}, d);
-  EXPECT_EQ(table.valid_count(), 1);
-  EXPECT_EQ(table.index_of(1), 0) << "the id that labels have";
-  EXPECT_EQ(table.index_of(2), kVoid);
-  EXPECT_EQ(rows_of(c.reader->read(frame_of("rgb_3"), table))[0], ".000");
-  EXPECT_EQ(unfound(d.all(), "classes.name.twice", {"categories 0 and 1", "'Lodged'", "id 1"}), "");
-}
-
-// Whichever is called more like the frame: the labels of the other would be gone.
-TEST(Coco, TwoImagesOfOneFrameAreRefused) {
-  FrameInfo frame = frame_of("rgb_3");
-  frame.source = "/scene/train/rgb_3.png";
-  const std::string own = "train/rgb_3.png";
-  for (const std::string other : {"train/rgb_3.jpg", "rgb_3.png", "rgb_3", "scene/train/rgb_3.png"}) {
-    for (const auto& [first, second] : {std::pair{own, other}, {other, own}}) {
-      CocoCase c;
-      std::string text = coco(note(1, "[[0,0,4,0,4,3]]") + "," + note(4, "[[0,0,4,0,4,3]]", 6));
-      text.replace(text.find("rgb_4.png"), 9, second);
-      text.replace(text.find(own), own.size(), first);
-      write_file_atomic(c.file, text);
-      Diagnostics d;
-      open_for(*c.reader, room_table(), {frame}, d);
-      EXPECT_FINDING(d, "labels.frame.twice", "image 2", "'" + second + "' is frame 'rgb_3', of which '" + first + "'");
-      EXPECT_TRUE(d.has_errors()) << first;
-    }
-  }
-}
 
 TEST(Coco, RunLengthTextRoundTrips) {
   for (const std::vector<std::int64_t>& counts : {std::vector<std::int64_t>{0, 12},

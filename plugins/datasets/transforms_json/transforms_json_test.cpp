@@ -1,5 +1,5 @@
-// transforms.json in every dialect: nerfstudio with a lens of its own a frame, Blender's splits, units and arrays of
-// depth, lists of splits, masks, a lens as a matrix, and names as other systems spell them.
+// transforms.json: lenses, channels, masks, TIFF, lists of splits, and names as other systems spell them. Units and
+// arrays of depth, a lens as a matrix and further dialects: tests/bad_files/scenes.cases.
 
 #include "formats/image_io.h"
 #include "formats/npz.h"
@@ -15,7 +15,6 @@ using namespace testing_room;
 
 constexpr const char* kPose = "\"transform_matrix\": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
 const std::string kLens = "\"fl_x\": 3, ";
-const std::string kDepthFrame = "\"file_path\": \"a.png\", \"depth_file_path\": \"d.png\"";
 
 // The index of frames whose keys but for the pose are these.
 std::string index_of(const std::string& head, const std::vector<std::string>& frames) {
@@ -39,9 +38,6 @@ struct Scene {
   void gray(const std::string& name, const std::vector<std::uint8_t>& values) const {
     std::filesystem::create_directories(std::filesystem::path(folder + "/" + name).parent_path());
     write_png_gray8(folder + "/" + name, 4, 2, values);
-  }
-  void depth(const std::string& name = "d.png", std::uint16_t steps = 2000) const {
-    write_png_gray16(folder + "/" + name, 4, 2, std::vector<std::uint16_t>(8, steps));
   }
   void index(const std::string& head, const std::vector<std::string>& frames) const {
     plain_write(folder + "/transforms.json", index_of(head, frames));
@@ -72,25 +68,6 @@ struct Scene {
 };
 
 using Used = std::vector<std::uint8_t>;
-
-TEST(TransformsJson, BlenderSplitsAndAngle) {
-  const Scene s;
-  for (const std::string part : {"train", "test"}) {
-    s.image(part + "/r_0.png");
-    plain_write(s.folder + "/transforms_" + part + ".json",
-                index_of("\"camera_angle_x\": 1.5707963267948966, ", {"\"file_path\": \"./" + part + "/r_0\""}));
-  }
-  const SceneInfo info = s.open();
-  ASSERT_EQ(info.frames.size(), 2u);
-  EXPECT_EQ(info.frames[0].split, Split::train);
-  EXPECT_EQ(info.frames[1].split, Split::test);
-  EXPECT_EQ(info.frames[1].name, "test_r_0");
-  EXPECT_NEAR(info.frames[0].camera.fx, 2.0, 1e-12);
-  EXPECT_NEAR(info.frames[0].camera.fy, 2.0, 1e-12);
-  EXPECT_EQ(info.frames[0].camera.cy, 1.0);
-  EXPECT_EQ(info.frames[0].world_from_camera.axis(2), (Vec3d{0, 0, -1}));
-  EXPECT_EQ(info.frames[0].world_from_camera.t, (Vec3d{1, 2, 3}));
-}
 
 TEST(TransformsJson, OwnLensDepthAndLabels) {
   const Scene s;
@@ -128,26 +105,6 @@ TEST(TransformsJson, MasksComeFromTheIndexAFolderOrAlpha) {
   s.params["masks"] = "";
   s.params["alpha_masks"] = "true";
   EXPECT_EQ(s.read(0).used, (Used{0, 0, 0, 1, 0, 0, 0, 1}));
-}
-
-// NeRFCapture leaves the extension out, states the lens of each frame, and names a depth image whether it wrote one or
-// not.
-TEST(TransformsJson, ACaptureOfNeRFCaptureIsReadAsItIs) {
-  Scene s;
-  std::vector<std::string> frames;
-  for (const std::string name : {"images/0", "images/1"}) {
-    s.image(name + ".png");
-    frames.push_back("\"file_path\":\"" + name + "\",\"depth_path\":\"" + name +
-                     ".depth.png\",\"timestamp\":123.4,\"fl_x\":3.5,\"fl_y\":3.5,\"cx\":2.1,\"cy\":1,\"w\":4,\"h\":2");
-  }
-  s.index("\"w\":4,\"h\":2,\"fl_x\":1,\"fl_y\":1,\"cx\":320,\"cy\":240,\"depth_integer_scale\":1,", frames);
-  EXPECT_FINDING(s.findings(), "scene.file.missing", "0.depth.png", "scene.missing=skip");
-  s.params["missing"] = "skip";
-  const SceneInfo info = s.open();
-  ASSERT_EQ(info.frames.size(), 2u);
-  EXPECT_EQ(info.frames[1].source, s.folder + "/images/1.png");
-  EXPECT_EQ(info.frames[1].camera.fx, 3.5);
-  EXPECT_EQ(info.frames[1].camera.cx, 2.1);
 }
 
 TEST(TransformsJson, WideLensesAreThoseOfNerfstudio) {
@@ -279,99 +236,6 @@ TEST(TransformsJson, AHundredThousandFramesOfListsAndOfOneName) {
   EXPECT_EQ(info.frames[0].name, "rgb_image_99999");
 }
 
-TEST(TransformsJson, PosesWithoutDepthAreMetricWhereTheIndexSaysSo) {
-  const Scene s;
-  for (const auto& [keys, metric] :
-       {std::pair{"", false}, {"\"metric\": false, ", false}, {"\"metric\": true, ", true}}) {
-    s.index(kLens + keys, {"\"file_path\": \"a.png\""});
-    EXPECT_EQ(s.open().metric, metric) << keys;
-  }
-  for (const char* bad : {"\"yes\"", "2", "[true]"}) {
-    s.index(kLens + "\"metric\": " + bad + ", ", {"\"file_path\": \"a.png\""});
-    EXPECT_FINDING(s.findings(), "scene.index.value", "/transforms.json: ", "'metric'");
-  }
-}
-
-TEST(TransformsDialects, UnitsOfDepth) {
-  Scene s;
-  s.depth();
-  for (const auto& [keys, depth] : {std::pair{"", 2.0},
-                                    {"\"depth_unit_m\": 0.0005, ", 1.0},
-                                    {"\"integer_depth_scale\": 0.0001525902, ", 0.3051804},
-                                    {"\"depth_unit_scale_factor\": 0.00025, ", 0.5},
-                                    {"\"integer_depth_scale\": 0.002, \"depth_unit_m\": 0.002, ", 4.0}}) {
-    s.index(kLens + keys, {kDepthFrame});
-    EXPECT_NEAR(s.read().depth_m.at(0), depth, 1e-6) << keys;
-  }
-  // A frame's own, and what the configuration says.
-  s.index(kLens + "\"integer_depth_scale\": 0.0005, ",
-          {kDepthFrame, "\"file_path\": \"b.png\", \"depth_path\": \"d.png\", \"integer_depth_scale\": 0.004"});
-  EXPECT_NEAR(s.read(0).depth_m.at(0), 1, 1e-6);
-  EXPECT_NEAR(s.read(1).depth_m.at(0), 8, 1e-6);
-  s.params["depth_unit_m"] = "0.01";
-  EXPECT_NEAR(s.read(0).depth_m.at(0), 20, 1e-5);
-  s.params["depth_unit_m"] = "0";
-  for (const char* keys : {"\"integer_depth_scale\": -1, ", "\"depth_unit_scale_factor\": 1e300, ",
-                           "\"integer_depth_scale\": 0.001, \"depth_unit_m\": 0.002, "}) {
-    s.index(kLens + keys, {kDepthFrame});
-    EXPECT_FINDING(s.findings(), "scene.index.value", "transforms.json");
-  }
-  // Steps per metre, or metres per step? Only where there is depth, and nothing says.
-  s.index(kLens + "\"depth_scale\": 1000, ", {kDepthFrame});
-  EXPECT_FINDING(s.findings(), "scene.depth.unit", "depth_scale", "scene.depth_unit_m");
-  s.params["depth_unit_m"] = "0.001";
-  EXPECT_NEAR(s.read().depth_m.at(0), 2, 1e-6);
-  s.params["depth_unit_m"] = "0";
-  s.index(kLens + "\"depth_scale\": 1000, ", {"\"file_path\": \"a.png\""});
-  EXPECT_EQ(all_said(s.findings()), "");
-}
-
-// Each of Blender's files has a unit of its own.
-TEST(TransformsDialects, UnitsOfSeveralFiles) {
-  Scene s;
-  s.depth();
-  for (const auto& [name, image, unit] : {std::tuple{"train", "a", "0.001"}, {"test", "b", "0.002"}})
-    plain_write(s.folder + "/transforms_" + name + ".json",
-                index_of(kLens + "\"integer_depth_scale\": " + unit + ", ",
-                         {std::string("\"file_path\": \"") + image + "\", \"depth_path\": \"d.png\""}));
-  EXPECT_NEAR(s.read(0).depth_m.at(0), 2, 1e-6);
-  EXPECT_NEAR(s.read(1).depth_m.at(0), 4, 1e-6);
-}
-
-template <class T>
-std::string npy(const std::string& type, const std::vector<std::int64_t>& shape, const std::vector<T>& values) {
-  return npy_header(type, shape) + std::string(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
-}
-
-// Real numbers are metres, integers are steps.
-TEST(TransformsDialects, DepthAsArrays) {
-  Scene s;
-  const std::string frame = "\"file_path\": \"a.png\", \"depth_path\": \"d.npy\"";
-  const auto read = [&](const std::string& bytes, const std::string& head = "") {
-    plain_write(s.folder + "/d.npy", bytes);
-    s.index(kLens + head, {frame});
-    return s.read().depth_m;
-  };
-  const std::vector<float> reals{1.5, -1, INFINITY, NAN, 0, 2, 3, 4};
-  EXPECT_EQ(read(npy("<f4", {2, 4}, reals)), (std::vector<float>{1.5, 0, 0, 0, 0, 2, 3, 4}));
-  EXPECT_EQ(read(npy("<f8", {1, 2, 4, 1}, std::vector<double>(8, 2.5))), std::vector<float>(8, 2.5));
-  EXPECT_EQ(read(npy("<u2", {2, 4}, std::vector<std::uint16_t>{500, 65535, 0, 1, 1, 1, 1, 1})).at(0), 0.5f);
-  EXPECT_EQ(read(npy("<u2", {2, 4}, std::vector<std::uint16_t>(8, 65535))), std::vector<float>(8, 0)) << "the ceiling";
-  EXPECT_EQ(read(npy("<i4", {2, 4}, std::vector<std::int32_t>(8, 70000)), "\"integer_depth_scale\": 0.0001, ").at(7),
-            7.0f);
-  plain_write(s.folder + "/d.npy", npy("<f4", {2, 4}, reals));
-  s.index(kLens + "\"integer_depth_scale\": 0.0001, ", {frame});
-  EXPECT_FINDING(s.findings(), "scene.depth.real", "1 depth files hold real numbers");
-  for (const auto& [bytes, code, says] :
-       {std::tuple{npy("<f4", {4, 2}, reals), Code("scene.image.size"), "is 2 x 4 pixels"},
-        {npy("<f4", {8}, reals), Code("scene.depth.shape"), "the shape is (8,)"},
-        {npy("<f4", {2, 2, 2}, reals), Code("scene.depth.shape"), "[height, width]"},
-        {std::string("no array"), Code("files.array.format"), "d.npy"}}) {
-    plain_write(s.folder + "/d.npy", bytes);
-    EXPECT_FINDING(s.findings(), code, "d.npy", says);
-  }
-}
-
 TEST(TransformsDialects, DepthAsTiffOfSixteenBitsIsInSteps) {
   if (!images_available()) GTEST_SKIP() << "this build reads no TIFF (SEMFIELD_WITH_IMAGES=OFF)";
   const Scene s;
@@ -409,14 +273,6 @@ TEST(TransformsDialects, ListsOfSplits) {
     s.index(kLens + lists, frames);
     EXPECT_EQ(splits_of(s), splits) << lists;
   }
-  s.index(kLens + "\"test_filenames\": [\"images/c.png\", \"images/e.png\"], ", frames);
-  EXPECT_FINDING(s.findings(), "scene.split.unknown", "1 of 2 names of 'test_filenames'", "'images/e.png'");
-  s.index(kLens + "\"test_filenames\": " + c + "\"train_filenames\": " + c, frames);
-  EXPECT_FINDING(s.findings(), "scene.split.overlap", "images/c.png");
-  for (const char* list : {"\"images/c.png\", ", "[3], ", "{}, "}) {
-    s.index(kLens + "\"val_filenames\": " + list, frames);
-    EXPECT_FINDING(s.findings(), "scene.index.value", "'val_filenames'");
-  }
 }
 
 TEST(TransformsDialects, MasksOfMovingThings) {
@@ -434,36 +290,6 @@ TEST(TransformsDialects, MasksOfMovingThings) {
   EXPECT_EQ(s.read(1).used, (Used{0, 1, 1, 1, 1, 1, 1, 1}));
   write_png_gray8(s.folder + "/images/dynamic_mask_a.png", 2, 2, std::vector<std::uint8_t>(4, 0));
   EXPECT_FINDING(s.findings(), "scene.image.size", "mask of moving things", "2 x 2");
-}
-
-TEST(TransformsDialects, LensAsAMatrix) {
-  Scene s;
-  const std::string frame = "\"file_path\": \"a.png\"";
-  const auto lens_of = [&](const std::string& head, const std::string& keys) {
-    s.index(head, {frame + keys});
-    const Camera c = s.open().frames.at(0).camera;
-    return std::vector<double>{c.fx, c.fy, c.cx, c.cy};
-  };
-  const std::vector<double> wanted{3, 4, 2.5, 1};
-  for (const char* matrix :
-       {"[[3, 0, 2.5], [0, 4, 1], [0, 0, 1]]", "[3, 0, 2.5, 0, 4, 1, 0, 0, 1]", "[3, 0, 0, 0, 4, 0, 2.5, 1, 1]",
-        "[[3, 0, 2.5, 0], [0, 4, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]]", "[[3, 0, 2.5, 0], [0, 4, 1, 0], [0, 0, 1, 0]]"}) {
-    for (const char* key : {"K", "intrinsics", "camera_matrix"}) {
-      const std::string pair = std::string("\"") + key + "\": " + matrix;
-      EXPECT_EQ(lens_of("", ", " + pair), wanted) << pair;
-      EXPECT_EQ(lens_of(pair + ", ", ""), wanted) << pair;
-      EXPECT_EQ(lens_of("\"fl_x\": 7, ", ", " + pair), wanted) << "a frame's own";
-    }
-  }
-  const auto refused = [&](const std::string& keys) {
-    s.index("", {frame + keys});
-    return s.findings();
-  };
-  for (const char* matrix : {"[[3, 0.5, 2.5], [0, 4, 1], [0, 0, 1]]", "[[3, 0, 2.5], [0, 4, 1], [0, 0, 2]]", "[3, 4]",
-                             "[[3, 0, 2.5], [0, \"4\", 1], [0, 0, 1]]"})
-    EXPECT_FINDING(refused(std::string(", \"K\": ") + matrix), "scene.camera.format", "'K'", "fl_x");
-  EXPECT_FINDING(refused(", \"fl_x\": 5, \"K\": [[3, 0, 2.5], [0, 4, 1], [0, 0, 1]]"), "scene.index.value", "'fl_x'",
-                 "'K'");
 }
 
 TEST(TransformsDialects, NamesOfOtherSystems) {
@@ -484,26 +310,6 @@ TEST(TransformsDialects, NamesOfOtherSystems) {
   EXPECT_EQ(info.frames[1].source, s.folder + "/images/" + apart + "/2.png");
   s.index(kLens, {"\"file_path\": \"C:\\\\scene\\\\1.png\""});
   EXPECT_FINDING(s.findings(), "scene.file.missing", "C:/scene/1.png", "a drive of Windows");
-}
-
-// Depth of a camera of its own is drawn into the colour image, whatever its size; what is not one is refused.
-TEST(TransformsDialects, DepthOfACameraOfItsOwn) {
-  Scene s;
-  write_png_gray16(s.folder + "/d.png", 8, 6, std::vector<std::uint16_t>(48, 2000));
-  const std::string lens = "\"depth_camera\": {\"w\": 8, \"h\": 6, \"fl_x\": 3, \"fl_y\": 3, \"cx\": 4, \"cy\": 3, ";
-  const std::string still = "\"depth_from_color\": [[1,0,0,0],[0,1,0,0],[0,0,1,0.5],[0,0,0,1]]}, ";
-  s.index(kLens + lens + still, {kDepthFrame, "\"file_path\": \"b.png\""});
-  const FrameBuffer read = s.read();
-  ASSERT_EQ(read.depth_m.size(), 8u);
-  for (const float z : read.depth_m) EXPECT_NEAR(z, 1.5f, 1e-5f) << "the depth camera stands half a metre behind";
-  for (const std::string& bad : {lens + "\"depth_from_color\": [[1,0,0,0]]}, ",
-                                 std::string("\"depth_camera\": {") + still, std::string("\"depth_camera\": 7, "),
-                                 lens + "\"depth_from_color\": [[1,0,0,0],[0,1,0,0],[0,0,null,0],[0,0,0,1]]}, "}) {
-    s.index(kLens + bad, {kDepthFrame});
-    const Diagnostics d = s.findings();
-    EXPECT_TRUE(d.has_errors()) << bad;
-    EXPECT_HAS(all_said(d), "depth_camera");
-  }
 }
 
 }  // namespace
