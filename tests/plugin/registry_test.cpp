@@ -234,8 +234,10 @@ TEST(Loader, ARefusedModuleLeavesTheRegistryUnchanged) {
     void (*spoil)(PluginModule&);
     const char* said;
   } cases[] = {
-      {[](PluginModule& m) { m.register_into = register_two_then_throw; }, "the second half is missing"},
-      {[](PluginModule& m) { m.register_into = [](Registry&) { throw 7; }; }, "an unknown exception"},
+      {[](PluginModule& m) { m.register_into = register_two_then_throw; },
+       "while registering module 'half 1.0': the second half is missing"},
+      {[](PluginModule& m) { m.register_into = [](Registry&) { throw 7; }; },
+       "while registering module 'half 1.0': an unknown exception"},
       {[](PluginModule& m) { m.register_into = toy::register_into; }, "taken"},
       {[](PluginModule& m) { m.register_into = nullptr; }, "register function"},
       {[](PluginModule& m) { m.name = nullptr; }, "lacks its name"},
