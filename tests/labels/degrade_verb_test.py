@@ -97,7 +97,7 @@ class Degrade(ProgramCase):
     def test_an_error_while_writing_removes_what_was_written(self):
         self.config("{degrade: [{type: simulated_predictions}]}")
         # Files may have 8 KiB at most: images fit, probabilities do not.
-        self.ended(self.limited("-f 16", ["degrade", self.dir / "room.yaml", "--out", self.out]), 74, "probability")
+        self.ended(self.limited("-f 16", ["labels", "degrade", self.dir / "room.yaml", "--out", self.out]), 74, "probability")
         self.assertEqual(names_in(self.dir), ["room", "room.yaml"])
 
 
