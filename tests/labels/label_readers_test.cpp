@@ -387,6 +387,9 @@ TEST(FilesOfFrames, OneOfSeveralFramesIsAnError) {
   Diagnostics named;
   EXPECT_EQ(c.read(rig(), "{name}.png", named), "0001=0001.png right_0001=right_0001.png ") << "names of frames";
   EXPECT_FALSE(named.has_errors());
+  Diagnostics stems;  // two images have this one
+  (void)c.read(rig(), "{stem}.png", stems);
+  EXPECT_FINDING(stems, "labels.frame.ambiguous", "/s/images/left/0001.png", "/s/images/right/0001.png");
 }
 
 // Every reader on a rig of which one camera is labelled.

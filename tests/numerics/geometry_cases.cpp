@@ -438,7 +438,7 @@ void intrinsics(CaseRun& run) {
   lens_fold(run, twice, "no inverse at 4 of 9 points of the image; such pixels are masked");
 }
 
-// F10 to F12: scenes far from the origin, slivers, broken meshes.
+// F10 and F11: scenes far from the origin, slivers.
 
 namespace {
 

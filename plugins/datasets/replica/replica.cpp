@@ -220,7 +220,8 @@ class Replica {
   std::string color_folder() const { return slam_ ? "results" : "rgb"; }
   const char* color_prefix() const { return slam_ ? "frame" : "rgb_"; }
   const char* trajectory_file() const { return slam_ ? "traj.txt" : "traj_w_c.txt"; }
-  // One camera for all frames, of the size of the first image that can be read; headers tell those of another size.
+  // One camera for all frames, of the size of the first image that can be read; headers tell those of another size. One
+  // that cam_params.json names follows the size of each image.
   void set_cameras(const std::string& folder, std::vector<PosedPhotograph>& photos, Diagnostics& diagnostics) const {
     Camera camera;
     for (const PosedPhotograph& photo : photos) {
