@@ -155,7 +155,7 @@ void ViewPictures::render_rows(double budget_s) {
     if (loop_.live()[l]) live[static_cast<std::size_t>(session.plan.class_of_logit[l])] = true;
   const auto rows_at_once =
       static_cast<std::int32_t>(std::clamp(rays_per_s_ * 0.04 / std::max(width, 1), 1.0, static_cast<double>(height)));
-  while (rows_done_ < height && (rows_done_ == 0 || seconds_since(start) < budget_s)) {
+  do {  // at least a piece, however little time there is
     RayCamera band = camera_;
     band.camera.height_px = std::min(rows_at_once, height - rows_done_);
     band.camera.cy -= rows_done_;
@@ -174,7 +174,7 @@ void ViewPictures::render_rows(double budget_s) {
             std::lround(255 * std::clamp(static_cast<double>(frame.entropy[i]) / most, 0.0, 1.0))));
     }
     rows_done_ += band.camera.height_px;
-  }
+  } while (rows_done_ < height && seconds_since(start) < budget_s);
   spent_s_ += seconds_since(start);
 }
 
