@@ -142,6 +142,7 @@ MeshTargets mesh_targets(const MeshOptions& options) {
   MeshTargets targets{folder ? into / "mesh" : into, options.formats};
   std::string ending;
   const std::string name = folder ? std::string() : targets.stem.filename().string();
+  if (name.ends_with(".splats.ply")) check_format("splats.ply", "--out " + options.out);  // of 1.0: no surface is meant
   for (const std::string& format : known_formats())
     if (name.ends_with("." + format)) ending = format;
   if (targets.formats.empty()) {

@@ -206,6 +206,16 @@ const Json& member(const Json& item, const char* key, const std::string& place) 
   return item.at(key);
 }
 
+// As those of every file of masks, and where the key is not there, with the remedy of segments.
+std::int64_t whole_of(const Json& item, const char* key, const std::string& place) {
+  (void)member(item, key, place);
+  return semfield::whole_of<Json>(item, key, place);
+}
+std::string text_of(const Json& item, const char* key, const std::string& place) {
+  (void)member(item, key, place);
+  return semfield::text_of<Json>(item, key, place);
+}
+
 MaskPixels mask_of(const Json& item, std::int32_t width, std::int32_t height, std::int16_t class_index,
                    const std::string& place) {
   return {coco_mask(member(item, "segmentation", place), width, height, place).runs(width, height, place), class_index};

@@ -200,6 +200,10 @@ class JsonOutput(WordsCase):
         said = json.loads(self.ended("report a b --equal --json", 1).out)
         self.assertIs(said["equal"], False)
         self.assertNotEqual(said["difference"], "")
+        same = json.loads(self.ok("report a a --equal --json").out)
+        self.assertEqual((same["equal"], set(same) - {"semfield", "verb"}), (True, {"equal", "step", "tensors"}))
+        written = json.loads(self.ok("pack config.yaml --format replica --out captured --json -q").out)
+        self.assertEqual(set(written) - {"semfield", "verb"}, {"frames", "bytes", "folder"})
         self.assertEqual(self.ended("eval nowhere --json", 66).out, "")
 
     def test_serve_tells_its_address(self):

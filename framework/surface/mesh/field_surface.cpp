@@ -65,28 +65,38 @@ Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& r
 
 SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays) {
   SightLines lines;
+  std::vector<double> origin, direction, near_far;
   const auto each = std::max<std::int64_t>(1, rays / std::max<std::int64_t>(1, std::ssize(cameras)));
-  std::int64_t cast = 0;
   for (const RayCamera& camera : cameras) {
-    std::vector<PixelPlace> pixels;
-    const auto all = std::int64_t{camera.camera.width_px} * camera.camera.height_px;
-    for (std::int64_t k = 0; k < std::min(each, all); ++k, ++cast) {
+    const auto pixels = std::int64_t{camera.camera.width_px} * camera.camera.height_px;
+    for (std::int64_t k = 0; k < std::min(each, pixels); ++k) {
       // The golden ratio spreads any number of pixels evenly, and differently for every camera.
       const double turn = (static_cast<double>(k) + 0.5) / static_cast<double>(each);
-      const double across = 0.6180339887498949 * static_cast<double>(k + 3 * cast);
-      pixels.push_back({static_cast<std::int32_t>((across - std::floor(across)) * camera.camera.width_px),
-                        static_cast<std::int32_t>(turn * camera.camera.height_px)});
+      const auto row = static_cast<std::int32_t>(turn * camera.camera.height_px);
+      const double across = 0.6180339887498949 * static_cast<double>(k + std::ssize(origin));
+      const auto column = static_cast<std::int32_t>((across - std::floor(across)) * camera.camera.width_px);
+      const std::size_t at = near_far.size() / 2;
+      origin.resize(3 * at + 3);
+      direction.resize(3 * at + 3);
+      near_far.resize(2 * at + 2);
+      cast_ray(camera, limits, column, row, &origin[3 * at], &direction[3 * at], &near_far[2 * at]);
     }
-    const std::vector<float> distance = surface_distances(pipeline, camera, limits, pixels);
-    for (std::size_t r = 0; r < pixels.size(); ++r) {
-      if (!(distance[r] > 0)) continue;
-      double origin[3], direction[3], near_far[2];
-      cast_ray(camera, limits, pixels[r].column, pixels[r].row, origin, direction, near_far);
-      lines.origin.push_back({origin[0], origin[1], origin[2]});
-      lines.direction.push_back({direction[0], direction[1], direction[2]});
-      lines.near.push_back(near_far[0]);
-      lines.surface.push_back(static_cast<double>(distance[r]));
-    }
+  }
+  const auto count = static_cast<std::int64_t>(near_far.size() / 2);
+  std::vector<float> depth(static_cast<std::size_t>(count)), opacity(depth.size());
+  RenderJob<float> job;
+  job.origin = {origin.data(), count, 3};
+  job.direction = {direction.data(), count, 3};
+  job.near_far = {near_far.data(), count, 2};
+  job.depth = {depth.data(), count, 1};
+  job.opacity = {opacity.data(), count, 1};
+  if (count > 0) pipeline.executor().render(job);
+  for (std::size_t r = 0; r < depth.size(); ++r) {
+    if (!(opacity[r] >= 0.5F)) continue;
+    lines.origin.push_back({origin[3 * r], origin[3 * r + 1], origin[3 * r + 2]});
+    lines.direction.push_back({direction[3 * r], direction[3 * r + 1], direction[3 * r + 2]});
+    lines.near.push_back(near_far[2 * r]);
+    lines.surface.push_back(static_cast<double>(depth[r]) / static_cast<double>(opacity[r]));
   }
   return lines;
 }

@@ -9,11 +9,11 @@
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 
 #include "core/error.h"
 #include "surface/mesh/surface.h"
-#include "surface/surface_graph.h"
 
 namespace semfield {
 
@@ -370,12 +370,47 @@ std::size_t PointCloud::Hash::operator()(const std::array<std::int64_t, 3>& key)
   return h;
 }
 
+namespace {
+
+// From a pixel to the nearer one of its neighbours at `before` and `behind`, along the way from the first to the
+// second; {0, 0, 0} where neither is seen.
+Vec3d step_at(const SeenPixels& pixels, std::size_t i, std::optional<std::size_t> before,
+              std::optional<std::size_t> behind) {
+  Vec3d least;
+  double shortest = std::numeric_limits<double>::infinity();
+  const auto consider = [&](std::optional<std::size_t> other, double sign) {
+    if (!other || pixels.seen[*other] == 0) return;
+    const Vec3d step = sign * (pixels.place[*other] - pixels.place[i]);
+    if (length(step) >= shortest) return;
+    shortest = length(step);
+    least = step;
+  };
+  consider(behind, 1);
+  consider(before, -1);
+  return least;
+}
+
+// What the neighbours of a pixel show. Seen at more than 84 degrees it is an edge of depth more often than a surface.
+Vec3d normal_at(const SeenPixels& pixels, std::size_t i, std::int32_t width, std::int32_t height, Vec3d to_eye) {
+  constexpr double kLeastCosine = 0.1;
+  const std::size_t w = static_cast<std::size_t>(width), column = i % w, row = i / w;
+  using Place = std::optional<std::size_t>;
+  const Vec3d right = step_at(pixels, i, column > 0 ? Place(i - 1) : Place(), column + 1 < w ? Place(i + 1) : Place());
+  const Vec3d down = step_at(pixels, i, row > 0 ? Place(i - w) : Place(),
+                             row + 1 < static_cast<std::size_t>(height) ? Place(i + w) : Place());
+  const Vec3d normal = cross(down, right);
+  const double size = length(normal);
+  if (!(size > 0)) return to_eye;
+  const double cosine = dot(normal, to_eye) / size;
+  return std::abs(cosine) < kLeastCosine ? to_eye : normal * ((cosine < 0 ? -1 : 1) / size);
+}
+
+}  // namespace
+
 SeenPixels seen_pixels(const RayCamera& camera, const RenderedFrame& frame, float least_opacity) {
-  // Seen at more than 84 degrees, what neighbours show is an edge of depth more often than a surface.
-  constexpr double kLeastFacing = 0.1, kNone = std::numeric_limits<double>::quiet_NaN();
   const std::size_t count = frame.opacity.size();
-  SeenPixels out{std::vector<char>(count), std::vector<Vec3d>(count, Vec3d{kNone, kNone, kNone}),
-                 std::vector<Vec3d>(count), std::vector<float>(count)};
+  SeenPixels out{std::vector<char>(count), std::vector<Vec3d>(count), std::vector<Vec3d>(count),
+                 std::vector<float>(count)};
   const Camera& c = camera.camera;
   for (std::size_t i = 0; i < count; ++i) {
     if (!(frame.opacity[i] >= least_opacity) || !(frame.depth_m[i] > 0) || !std::isfinite(frame.depth_m[i])) continue;
@@ -389,12 +424,10 @@ SeenPixels seen_pixels(const RayCamera& camera, const RenderedFrame& frame, floa
     out.place[i] = camera.world_from_camera.apply(ray * (depth / share));
     out.footprint[i] = static_cast<float>(depth / std::sqrt(c.fx * c.fy));
   }
-  SeenSurface surface = seen_surface(std::move(out.place), frame.width_px, camera.world_from_camera.t);
-  out.place = std::move(surface.place);
   for (std::size_t i = 0; i < count; ++i) {
     if (out.seen[i] == 0) continue;
     const Vec3d to_eye = normalized(camera.world_from_camera.t - out.place[i]);
-    out.normal[i] = dot(surface.normal[i], to_eye) < kLeastFacing ? to_eye : surface.normal[i];
+    out.normal[i] = normal_at(out, i, frame.width_px, frame.height_px, to_eye);
   }
   return out;
 }

@@ -69,7 +69,7 @@ Box box_around(std::span<const Vec3d> positions);
 /// pixels around show, towards the eye, and the side of the square that the pixel covers there. Depth is divided by
 /// opacity: the mean of what was met.
 struct SeenPixels {
-  std::vector<char> seen;  ///< 0: opacity under `least_opacity`, or no depth; its place is NaN
+  std::vector<char> seen;  ///< 0: opacity under `least_opacity`, or no depth
   std::vector<Vec3d> place, normal;
   std::vector<float> footprint;
 };
