@@ -54,7 +54,7 @@ struct FreeCamera {
 /// {"position", "rotation", "fov_deg"}: rows of world_from_camera, degrees of the picture's width.
 FreeCamera read_request_camera(const Json& map);
 
-inline constexpr std::int32_t kMostPictureSide = 2048;  ///< pixels of a free camera's picture
+inline constexpr std::int32_t kMostPictureSide = 2048;  ///< pixels of a picture of `view`
 inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a request for a photograph may name
 
 /// Throws Error(data) with a sentence that names the key, for every value out of its bounds and for keys that are
