@@ -43,7 +43,8 @@ pid_t start_child(const std::vector<std::string>& words, const ChildStreams& str
   argv.push_back(nullptr);
   std::vector<char*> environment = environment_of_child();
   const pid_t parent = getpid();
-  // Signals wait until the child has put our handlers away, which would swallow one that comes before the program starts.
+  // Signals wait until the child has put our handlers away, which would swallow one that comes before the program
+  // starts.
   sigset_t all{}, before{};
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, &before);

@@ -12,7 +12,7 @@
 #include "app/verb.h"
 #include "core/error.h"
 #include "loading/frame_source.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 
 namespace semfield::app {
 
@@ -52,7 +52,7 @@ std::vector<NextStep> next_of_look(const std::string& run);
 /// What was found, as notes.
 void print_findings(const AppContext& context, const Diagnostics& diagnostics);
 
-/// As open_run (run/run_scores.h), by all processes of the launcher; findings are printed.
+/// As open_run (run/opened_run.h), by all processes of the launcher; findings are printed.
 OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context);
 
 }  // namespace semfield::app

@@ -23,7 +23,7 @@
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
 #include "run/run_folder.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "serve/view_pictures.h"

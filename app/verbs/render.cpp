@@ -38,7 +38,7 @@
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
 #include "session/session.h"

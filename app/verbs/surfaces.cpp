@@ -28,7 +28,7 @@
 #include "objects/object_score.h"
 #include "objects/object_set.h"
 #include "objects/segments.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/point_files.h"
 #include "surface/mesh/score/mesh_score.h"

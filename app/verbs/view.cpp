@@ -31,7 +31,7 @@
 #include "eval/image_output.h"
 #include "report/report.h"
 #include "run/run_folder.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "serve/label_loop.h"
 
 #endif

@@ -1,4 +1,5 @@
-// The configuration tree: every node knows its file, line and column. config_tree.cpp is the only user of yaml-cpp.
+// The configuration tree: every node knows its file, line and column; and the files that names of configurations mean.
+// config_tree.cpp is the only user of yaml-cpp.
 #pragma once
 
 #include <optional>

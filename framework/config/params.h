@@ -121,8 +121,8 @@ void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const s
 ConfigNode params_to_config(const Describe& describe);
 
 /// One parameter, as the reference page, help and schema need it. `type` is bool, int, number, text, choice, or list of
-/// int, number or text; `range` is "[1, 32]", ">= 1", "<= 5" or
-/// empty, and `limits` the same in numbers.
+/// int, number or text; `range` is "[1, 32]", ">= 1", "<= 5" or empty, and `limits` the same in
+/// numbers.
 struct ParamDoc {
   std::string name, type, default_value, range, help;
   std::vector<std::string> choices;

@@ -8,7 +8,7 @@
 #include "compute/isa.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "execution/lane_executor.h"
+#include "execution/render_rays.h"
 
 namespace semfield {
 

@@ -3,10 +3,8 @@
 #pragma once
 
 #include <cstddef>
-#include <functional>
 #include <optional>
-#include <span>
-#include <type_traits>
+#include <string>
 #include <vector>
 
 #include "core/workspace.h"

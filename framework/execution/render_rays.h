@@ -1,5 +1,5 @@
-// What is asked of a network apart from training: rays to render, densities, and the field at points of space. On the
-// stages of any device, with host memory at both ends.
+// What is asked of a network apart from steps of training: rays to render and densities, on the stages of any device
+// with host memory at both ends; the field at points of space, and its semantic part, which learns from points.
 #pragma once
 
 #include <cstddef>

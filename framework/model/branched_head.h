@@ -85,7 +85,7 @@ class BranchedHead {
     branch_->position->forward(ctx, store_->tensors(position_), x,
                                input.col_range(0, branch_->position->traits().out_dims));
   }
-  /// The branch at single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
+  /// The branch at single samples, whose inputs are known: input [K, input_dims], one sample per ray.
   BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<const Real> input) const;
   /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
   void branch_backward(const StepContext& ctx, int lane, const BranchTrace<Real>& trace, View<Real> d_feature) const;

@@ -17,7 +17,7 @@
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "execution/lane_executor.h"
+#include "execution/render_rays.h"
 #include "formats/safetensors.h"
 #include "system/checksum.h"
 #include "system/files.h"

@@ -1,7 +1,6 @@
 #include "objects/segments.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -11,7 +10,6 @@
 #include <vector>
 
 #include "compute/parallel.h"
-#include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "formats/text_rows.h"

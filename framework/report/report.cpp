@@ -201,7 +201,7 @@ Json read_strips(const fs::path& folder, int most_frames, const std::set<std::st
 // A list of rows that have these texts.
 Json parse_rows(const std::string& text, const std::string& name, std::initializer_list<const char*> keys) {
   try {
-    const Json rows = Json::parse(text);
+    const auto rows = Json::parse(text).get<Json::array_t>();
     for (const Json& row : rows)
       for (const char* key : keys) (void)row.at(key).get<std::string>();
     return rows;

@@ -1,5 +1,5 @@
-// Runs that are opened again, to go on or to be looked at: what of them is compared with the checkpoint, and whether
-// two are the same training.
+// Runs that are opened again, to go on or to be looked at: what of them is compared with the checkpoint, whether two
+// are the same training, and poses that are learned or fitted to a field.
 #pragma once
 
 #include <cstdint>
@@ -62,8 +62,7 @@ struct RunComparison {
 
 /// Compares, in this order: settings that are part of a run's identity, class tables, inputs, steps, tensors. Times,
 /// threads, places of files and what reports show do not count. Settings are those of the checkpoints; a run.yaml that
-/// says other ones is a warning. Throws Error(no_input) for a folder without a
-/// checkpoint.
+/// says other ones is a warning. Throws Error(no_input) for a folder without a checkpoint.
 RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Registry& registry,
                            Diagnostics& diagnostics);
 

@@ -1,5 +1,5 @@
-// How the cameras of a scene stand to what they photograph, conventions of their poses, and a plain background behind an
-// object.
+// How the cameras of a scene stand to what they photograph, conventions of their poses, and a plain background behind
+// an object.
 #pragma once
 
 #include <array>

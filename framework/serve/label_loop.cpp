@@ -17,7 +17,7 @@
 #include "core/check.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
-#include "execution/lane_executor.h"
+#include "execution/render_rays.h"
 #include "serve/view_pictures.h"
 
 namespace semfield {

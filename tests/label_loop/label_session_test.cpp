@@ -16,7 +16,7 @@
 #include "report/report.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "serve/view_pictures.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/scene/tiny_scene.h"

@@ -1,4 +1,4 @@
-// A child that is told to end while it starts.
+// A child that gets a signal while it starts.
 #include "app/child_process.h"
 
 #include <gtest/gtest.h>

@@ -6,7 +6,7 @@
 #include "eval/final_eval.h"
 #include "loading/packed_scene.h"
 #include "run/run_folder.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "session/self_training.h"
 #include "session/settings/choices.h"
 #include "system/process.h"

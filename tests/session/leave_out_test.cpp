@@ -7,7 +7,7 @@
 #include "datasets/obj_room/obj_room.h"
 #include "execution/lane_executor.h"
 #include "run/run_folder.h"
-#include "run/run_scores.h"
+#include "run/opened_run.h"
 #include "session/assembly.h"
 #include "session/settings/choices.h"
 #include "tests/says.h"

@@ -196,8 +196,7 @@ class SharedSweep(SweepCase):
         self.assertEqual(self.results(), one)
         for name in ("tables.md", "cells.csv", "tiny.csv", "tables.html"):
             self.assertEqual((out / name).read_bytes(), (self.dir / "one" / name).read_bytes(), name)
-        # But for those that are named by the moment and the process that wrote them.
-        names = lambda where: {str(p.relative_to(where)) for p in where.rglob("*") if "events.out" not in p.name}
+        names = lambda where: {str(p.relative_to(where)) for p in where.rglob("*")}
         self.assertEqual(names(out), names(self.dir / "one"))
 
     def test_a_failed_cell_is_tried_by_one_and_by_the_next_sweep_again(self):

@@ -21,7 +21,7 @@ namespace {
 constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
                             channel::opacity, channel::weight, channel::sigma,      channel::logits};
 
-// Reads what of a tree is plugins; every fault becomes a finding.
+// Reads what of a tree is plugins, and the file of clicks; every fault becomes a finding.
 class Reading {
  public:
   Reading(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics)

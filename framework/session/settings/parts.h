@@ -1,5 +1,5 @@
 // What of a run's configuration names plugins: the scene with its label files, passes and their networks, heads,
-// losses, groupings. Fixed sections are in run_config.cpp.
+// losses, groupings. run_config.cpp has the list of the fixed sections, whose keys are where their structs are.
 #pragma once
 
 #include <cstdint>

@@ -6,8 +6,6 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "surface/mesh/mesh_files.h"
-
 namespace semfield {
 
 namespace {

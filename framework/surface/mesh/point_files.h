@@ -1,10 +1,11 @@
-// Labelled points in formats of other programs.
+// Labelled points in formats of other programs, and the JSON that says what handed files hold.
 #pragma once
 
 #include <cstdint>
 #include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "scene/camera_rig.h"
 #include "scene/classes/class_table.h"
@@ -45,7 +46,7 @@ struct Sidecar {
 };
 
 /// JSON of `semfield-handover-1`, with its last line's end: run, scene, step, world {unit, axes, up, pose_scale,
-/// poses_inverted, axes_flipped}, files [{file, holds, offset, edge}], classes [{id, name, color, ignore}], objects
+/// poses_inverted, camera_axes_flipped}, files [{file, holds, offset, edge}], classes [{id, name, color, ignore}], objects
 /// [{id, name}]. Files are named without their folders.
 std::string sidecar_json(const Sidecar& sidecar);
 

@@ -1,6 +1,5 @@
 // Exported ScanNet scenes: color/, depth/, pose/, intrinsic/, label-filt/, instance-filt/.
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdint>
 #include <filesystem>

@@ -36,8 +36,8 @@ struct TransformsLens {
   Camera told;  ///< focal lengths (fl_x, fl_y), kind and distortion
 };
 
-/// A photograph by the index; its split is told by the file (Blender's file names, nerfstudio's *_filenames), its
-/// matrix empty when the file's was unusable (already reported), its name the path as written.
+/// What the index says of a photograph. Its split comes from Blender's file names or nerfstudio's *_filenames; its
+/// matrix is empty where the file's cannot be used, which was reported; its name is the path as written.
 struct TransformsFrame : PosedPhotograph {
   std::string entry;  ///< "transforms.json: frame 3 (images/0003.jpg)"
   TransformsLens lens;
