@@ -96,6 +96,7 @@ TEST(ReportInput, DamagedFilesAreNamed) {
   const RunFolder folder = make_run(root / "run");
   const std::pair<std::string, std::string> bad[] = {{folder.final_eval_path(), "{\"split\": \"test\"}"},
                                                      {folder.worst_frames_path(), "[{\"frame\": 3}]"},
+                                                     {folder.left_out_path(), "{}"},
                                                      {folder.labels_path(), "{}"},
                                                      {folder.labelling_path(), "{}"}};
   for (const auto& [path, text] : bad) {
