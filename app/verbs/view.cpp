@@ -30,8 +30,8 @@
 #include "eval/field_points.h"
 #include "eval/image_output.h"
 #include "report/report.h"
-#include "run/run_folder.h"
 #include "run/opened_run.h"
+#include "run/run_folder.h"
 #include "serve/label_loop.h"
 
 #endif

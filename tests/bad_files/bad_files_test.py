@@ -67,6 +67,7 @@ def read_cases(path):
         if not verb or verb.startswith("#"):
             continue
         if verb in ("is", "holds", "lacks", "same", "shows", "near"):
+            assert in_case, f"{place}: '{verb}' before any case"
             file, _, what = rest.partition(" ")
             for one in cases[first:]:
                 one.files.append((verb, file, unescaped(what)))
@@ -281,7 +282,7 @@ def is_right(root, verb, file, what):
     if verb == "near":
         have, wanted = ([float(word) for word in text.split()] for text in (data, what))
         return len(have) == len(wanted) and all(abs(a - b) < 1e-9 for a, b in zip(have, wanted))
-    return {"is": data.strip() == what.strip(), "holds": path.is_file() and what in data, "lacks": not os.path.lexists(path),
+    return {"is": path.is_file() and data.strip() == what.strip(), "holds": path.is_file() and what in data, "lacks": not os.path.lexists(path),
             "same": path.is_file() and verb == "same" and path.read_bytes() == (root / os.fsdecode(what)).read_bytes()}[verb]
 
 

@@ -191,7 +191,7 @@ class Keys(ProgramCase):
         self.assertGreater(len(self.codes), 300)
         self.assertEqual(self.codes & self.everywhere, set(), "a code is a key, too")
         key = re.compile(rf"(?<![a-zA-Z0-9_./<-])((?:{SECTIONS}|labels)\.[a-z_N0-9]+(?:\.[a-z_N0-9]+)*)(?![/a-z])")
-        file = re.compile(r".*\.(json|html|h|yaml|yml|csv|tsv|tfevents|sfpack|png|zip)")
+        file = re.compile(r".*\.(json|html|h|yaml|yml|csv|tsv|sfpack|png|zip)")
         seen = 0
         for place, dataset, text in self.literals():
             # A setting of the program's own is not for a reader.

@@ -15,8 +15,8 @@
 #include "loading/packed_scene.h"
 #include "report/report.h"
 #include "run/metrics_log.h"
-#include "run/run_folder.h"
 #include "run/opened_run.h"
+#include "run/run_folder.h"
 #include "serve/view_pictures.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/scene/tiny_scene.h"
@@ -920,6 +920,25 @@ TEST_F(LargeRoom, AViewIsRenderedInPieces) {
   EXPECT_LE(quick.width_px, 144);
   EXPECT_GE(quick.width_px, 48);
   expect_whole(quick, true, true, true);
+}
+
+TEST_F(LargeRoom, ClicksOfOtherViewsAreInPixelsOfThePicture) {
+  std::vector<Annotations::Mark> marks;
+  for (int y = 6; y < 108; y += 12)
+    for (int x = 6; x < 144; x += 12)
+      marks.push_back(
+          {std::to_string(x) + "_" + std::to_string(y), loop->views()[2].frame, {{x + 0.5, y + 0.5}}, 0, 0});
+  pictures.set_marks(marks);
+  PictureRequest request = whole_of_view(1);
+  request.full = false;
+  const Picture quick = made(request);  // the first: what is affordable is not measured yet
+  ASSERT_LT(quick.width_px, 144);
+  const Picture whole = made(whole_of_view(1)), at_hand = made(of_view(1));
+  ASSERT_FALSE(whole.seen.empty());
+  ASSERT_EQ(quick.seen.size(), whole.seen.size());
+  EXPECT_EQ(at_hand.seen.size(), whole.seen.size());
+  for (std::size_t i = 0; i < whole.seen.size(); ++i)
+    EXPECT_NEAR(quick.seen[i].points[0].x * 144 / quick.width_px, whole.seen[i].points[0].x, 1e-9);
 }
 
 TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {

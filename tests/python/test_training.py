@@ -178,7 +178,7 @@ def test_closing_waits_for_the_call_of_another_thread(scene: sf.Scene) -> None:
     made: List[int] = []
     thread = threading.Thread(target=lambda: made.append(run._train(200, False)["steps"]))
     thread.start()
-    while run.step == 0:
+    while run.step == 0 and thread.is_alive():
         time.sleep(0.001)
     run.close()
     thread.join(60)

@@ -135,6 +135,17 @@ TEST_F(CheckpointTest, KeepsTheNewestAndNamesTheLatest) {
   EXPECT_TRUE(diagnostics.all().empty());
 }
 
+// A folder in the place of the file: root meets that too.
+TEST_F(CheckpointTest, ASaveThatFailsNamesTheCheckpointThatIsKept) {
+  CheckpointStore store(in("c"));
+  save(store, 100);
+  fs::create_directories(in("c/" + CheckpointStore::file_name(200) + "/x"));
+  EXPECT_HAS(error_of(ErrorKind::io, [&] { save(store, 200); }), "while saving the checkpoint of step 200",
+             "the checkpoint of step 100 is kept");
+  Diagnostics found;
+  EXPECT_EQ(store.find_latest(found)->step, 100);
+}
+
 TEST_F(CheckpointTest, StaleTemporaryFilesGoAndOtherFilesStay) {
   fs::create_directories(in("c"));
   std::ofstream(in("c/.step_00000001.safetensors.77.0.tmp")) << "torn";

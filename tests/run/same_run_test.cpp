@@ -5,8 +5,8 @@
 
 #include "eval/final_eval.h"
 #include "loading/packed_scene.h"
-#include "run/run_folder.h"
 #include "run/opened_run.h"
+#include "run/run_folder.h"
 #include "session/self_training.h"
 #include "session/settings/choices.h"
 #include "system/process.h"

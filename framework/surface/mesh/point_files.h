@@ -46,7 +46,8 @@ struct Sidecar {
 };
 
 /// JSON of `semfield-handover-1`, with its last line's end: run, scene, step, world {unit, axes, up, pose_scale,
-/// poses_inverted, camera_axes_flipped}, files [{file, holds, offset, edge}], classes [{id, name, color, ignore}], objects
+/// poses_inverted, camera_axes_flipped}, files [{file, holds, offset, edge}], classes [{id, name, color, ignore}],
+/// objects
 /// [{id, name}]. Files are named without their folders.
 std::string sidecar_json(const Sidecar& sidecar);
 
