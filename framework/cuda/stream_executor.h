@@ -9,7 +9,7 @@
 
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
-#include "cuda/ranks/exchange.h"
+#include "cuda/ranks/gradient_sums.h"
 #include "cuda/steps/batch_drawer.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"
@@ -21,7 +21,7 @@ namespace semfield::cuda {
 /// A step is: one copy of its batch to the device, one graph of every kernel from sampling to Adam, one copy of its
 /// sums back, all queued without waiting. The graph is captured in the third step of a shape: the first sizes arenas
 /// and chooses algorithms. A batch is walked as a whole, or this rank's part of it
-/// (cuda/ranks/exchange.h). Rays of a part beyond the last labelled one of any part carry no semantics; their
+/// (cuda/ranks/gradient_sums.h). Rays of a part beyond the last labelled one of any part carry no semantics; their
 /// number is rounded to an eighth of a part, so that few shapes occur, the same ones on every rank.
 ///
 /// With several ranks each has the whole batch, and ends a step with the same tensors. Samplers' states are refreshed

@@ -60,7 +60,7 @@ ONLY = {
     "yaml-cpp/": "framework/config/config_tree.cpp",
     "yaml.h": "framework/config/config_tree.cpp",
     "mpi.h": "framework/execution/ranks/mpi/mpi_ranks.cpp",
-    "nccl.h": "framework/cuda/nccl/nccl_exchange.cpp",
+    "nccl.h": "framework/cuda/nccl/nccl.cpp",
     "OpenImageIO/": "framework/formats/image_formats.cpp",
     "tiny_obj_loader.h": "plugins/datasets/obj_room/mesh_io.cpp",
     "omp.h": "framework/compute/parallel.cpp",

@@ -3,7 +3,7 @@
 
 #include <cstdlib>
 
-#include "cuda/ranks/exchange.h"
+#include "cuda/ranks/gradient_sums.h"
 #include "execution/ranks_executor.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"

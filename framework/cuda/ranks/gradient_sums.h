@@ -1,4 +1,4 @@
-// How a step is shared: which rays of its batch a rank walks, and how the gradients meet again, through NCCL or through
+// How a step is shared: which rays of its batch a rank walks, and how gradients on devices meet again: by NCCL, or in
 // the memory of the host.
 #pragma once
 
@@ -7,7 +7,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -24,29 +23,25 @@ namespace semfield::cuda {
 
 struct StepSums;
 
-/// All ranks make the same calls in the same order. What they give is the same on every rank, to the bit. An Error that
-/// one rank alone meets leaves no other rank waiting.
-class RankExchange : NonCopyable {
- public:
-  virtual ~RankExchange() = default;
+// NCCL is loaded when a run has several ranks, so that others do without it.
 
-  /// Whether `sum` only queues work on its stream, so that a graph may hold it. Else it waits for the stream and for
-  /// the other ranks.
-  virtual bool queues() const = 0;
-  /// Memory for calls with up to `most` numbers of a rank. Throws Error(unavailable).
-  virtual void reserve(std::size_t most) = 0;
-  /// block = its sum over ranks, and *fault = the least of theirs; null: not wanted. Device memory.
-  virtual void sum(std::span<float> block, FaultKey* fault, cudaStream_t stream) = 0;
-  /// Waits for the stream. Throws RankLost where it waits for a rank that has ended.
-  virtual void wait(cudaStream_t stream) = 0;
+/// What the library of NCCL offers; its symbol is kNcclLibrarySymbol. All throw Error with NCCL's words.
+struct NcclLibrary {
+  std::size_t id_bytes = 0;
+  /// 22809 is 2.28.9.
+  int (*version)() = nullptr;
+  /// What rank 0 makes for all: id_bytes bytes.
+  void (*make_id)(std::byte* id) = nullptr;
+  /// To be called by all ranks, each for the device of launch(): a communicator.
+  void* (*join)(const std::byte* id, int rank, int ranks) = nullptr;
+  /// Gives up what still waits for a rank that has ended.
+  void (*leave)(void* communicator) = nullptr;
+  /// Queues on the stream: block = its sum over ranks, and *fault = the least of theirs; null: not wanted.
+  void (*sum)(void* communicator, std::span<float> block, FaultKey* fault, cudaStream_t stream) = nullptr;
+  /// Throws where a sum failed behind the callers' backs.
+  void (*check)(void* communicator) = nullptr;
 };
-
-/// Through the host's memory.
-std::unique_ptr<RankExchange> host_exchange(Ranks& ranks);
-
-/// To be called by all ranks, each for the device of launch(): through NCCL, where every rank has it and a device of
-/// its own. Else through the host's memory, and `why_not` says why.
-std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not);
+inline constexpr const char* kNcclLibrarySymbol = "semfield_nccl_library";
 
 // Which rays of a step a rank walks.
 
@@ -58,9 +53,10 @@ RayRange rays_of(std::int64_t rays, int number, int parts);
 
 // How the gradients of a step meet.
 
-/// A rank has its part of the batch, and gradients are summed pass by pass, each while the next pass is walked. Without
-/// ranks nothing is exchanged; launches are those of launch().
-class GradientSums {
+/// A rank has its part of the batch, and gradients are summed pass by pass, each while the next pass is walked. All
+/// ranks make the same calls in the same order; sums are the same on every rank, to the bit, and an Error that one rank
+/// alone meets leaves no other waiting. Without ranks nothing is exchanged; launches are those of launch().
+class GradientSums : NonCopyable {
  public:
   /// Borrows `gradients`, in device memory, those of pass p behind those of the pass before, from ends[p - 1] to
   /// ends[p].
@@ -72,9 +68,10 @@ class GradientSums {
   /// This rank's rays of a batch.
   RayRange own(std::int64_t rays) const { return rays_of(rays, rank(), ranks()); }
 
-  /// To be called by all ranks, before a step; meets the others once. Throws Error where ranks cannot work like this.
+  /// To be called by all ranks, before a step; meets the others once: by NCCL, where every rank has it and a device of
+  /// its own, or else in the host's memory. Throws Error where ranks cannot work like this.
   void join();
-  /// What `join` has to tell, once.
+  /// What `join` has to tell, once: why gradients do not meet by NCCL.
   std::vector<std::string> take_notes() { return std::exchange(notes_, {}); }
   /// Memory for what meets. Throws Error(unavailable).
   void reserve();
@@ -85,7 +82,7 @@ class GradientSums {
   /// this process ends, they notice.
   void afterwards(const std::function<void()>& work);
   /// Whether `meet` waits for the other ranks, so that no graph may hold it.
-  bool waits() const { return exchange_ && !exchange_->queues(); }
+  bool waits() const { return joined_ && !communicator_; }
 
   /// Before the walk of a step. overlapped: passes are summed when they are done, else all by `meet`.
   void begin(bool overlapped);
@@ -93,40 +90,32 @@ class GradientSums {
   void pass_done(std::size_t pass);
   /// The gradients become those of the batch, and *fault the least of all, for what launch().stream does next.
   void meet(FaultKey* fault);
-  /// Waits for launch().stream.
+  /// Waits for launch().stream. Throws RankLost where a device fails or waits for a rank that has ended.
   void wait();
 
   /// [ranks, mine.size()]
   std::vector<StepSums> of_all_ranks(std::span<const StepSums> mine) const;
 
  private:
+  void join_nccl();
   void sum_pass(std::size_t pass, FaultKey* fault);
+  void sum_on_host(std::span<float> block, FaultKey* fault);
 
   Ranks* ranks_;
   bool deterministic_;
   std::vector<std::string> notes_;
   std::span<float> gradients_;
   std::vector<std::size_t> ends_;
-  std::unique_ptr<RankExchange> exchange_;
+  bool joined_ = false;
+  const NcclLibrary* nccl_ = nullptr;
+  void* communicator_ = nullptr;  // null: sums are made on the host
+  Pinned<float> own_, all_;       // of the host's sums
+  FaultKey least_ = kNoFault;
   std::optional<Error> pending_;
   cudaStream_t between_ = nullptr;  // the sums of passes
   cudaEvent_t walked_ = nullptr, summed_ = nullptr;
   bool overlapped_ = false;
   std::size_t next_pass_ = 0;  // that is to be summed
 };
-
-// The library that exchanges by NCCL: loaded when a run has several ranks, so that others do without NCCL.
-
-/// What it offers; its symbol is kNcclLibrarySymbol. All throw Error with NCCL's words.
-struct NcclLibrary {
-  std::size_t id_bytes = 0;
-  /// 22809 is 2.28.9.
-  int (*version)() = nullptr;
-  /// What rank 0 makes for all: id_bytes bytes.
-  void (*make_id)(std::byte* id) = nullptr;
-  /// To be called by all ranks, each for the device of launch(). Borrows `ranks`.
-  std::unique_ptr<RankExchange> (*join)(const std::byte* id, Ranks& ranks) = nullptr;
-};
-inline constexpr const char* kNcclLibrarySymbol = "semfield_nccl_library";
 
 }  // namespace semfield::cuda

@@ -1,10 +1,12 @@
-#include "cuda/ranks/exchange.h"
+#include "cuda/ranks/gradient_sums.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstring>
+#include <thread>
 #include <vector>
 
 #include "core/error.h"
@@ -63,98 +65,17 @@ std::string hindrance(Ranks& ranks, const std::vector<Seat>& seats) {
 
 constexpr std::size_t kPiece = std::size_t{1} << 20;  // numbers of a rank that the others get at once
 
-// Gradients that meet in the host's memory: where NCCL is missing, or where ranks share a device.
-class HostExchange final : public RankExchange {
- public:
-  explicit HostExchange(Ranks& ranks) : ranks_(ranks) {}
-
-  bool queues() const override { return false; }
-  void reserve(std::size_t most) override {
-    most = std::max<std::size_t>(most, 1);
-    if (most <= room_) return;
-    room_ = 0;
-    own_.reset();
-    all_.reset();
-    own_ = pinned<float>(most, "pinned memory of gradients");
-    all_ = pinned<float>(std::min(most, kPiece) * size(), "pinned memory of gradients");
-    room_ = most;
-  }
-
-  // What is left of a call when the ranks need each other no more may fail on one rank alone.
-  void sum(std::span<float> block, FaultKey* fault, cudaStream_t stream) override {
-    FaultKey own = kNoFault;
-    agree(ranks_, [&] {  // an error of one rank ends the wait of all
-      if (!block.empty()) {
-        check(cudaMemcpyAsync(own_.get(), block.data(), block.size_bytes(), cudaMemcpyDeviceToHost, stream),
-              "fetching gradients");
-      }
-      if (fault != nullptr)
-        check(cudaMemcpyAsync(&own, fault, sizeof own, cudaMemcpyDeviceToHost, stream), "fetching a fault");
-      check(cudaStreamSynchronize(stream), "waiting for gradients");
-    });
-    for (std::size_t begin = 0; begin < block.size(); begin += kPiece) {
-      const std::size_t count = std::min(kPiece, block.size() - begin);
-      const std::vector<std::size_t> bytes(size(), count * sizeof(float));
-      ranks_.all_gather(std::as_bytes(std::span(own_.get() + begin, count)),
-                        std::as_writable_bytes(std::span(all_.get(), size() * count)), bytes);
-      for (std::size_t i = 0; i < count; ++i) {  // in the order of ranks, so that all get the same
-        float total = all_.get()[i];
-        for (std::size_t r = 1; r < size(); ++r) total += all_.get()[r * count + i];
-        own_.get()[begin + i] = total;
-      }
-    }
-    if (fault != nullptr) {
-      const std::vector<FaultKey> all = all_of(ranks_, own);
-      least_ = *std::min_element(all.begin(), all.end());
-    }
-    if (!block.empty()) {
-      check(cudaMemcpyAsync(block.data(), own_.get(), block.size_bytes(), cudaMemcpyHostToDevice, stream),
-            "sending gradients");
-    }
-    if (fault != nullptr)
-      check(cudaMemcpyAsync(fault, &least_, sizeof least_, cudaMemcpyHostToDevice, stream), "sending a fault");
-  }
-
-  void wait(cudaStream_t stream) override { check(cudaStreamSynchronize(stream), "waiting for the device"); }
-
- private:
-  std::size_t size() const { return static_cast<std::size_t>(ranks_.size()); }
-
-  Ranks& ranks_;
-  Pinned<float> own_, all_;
-  std::size_t room_ = 0;  // numbers
-  FaultKey least_ = kNoFault;
-};
-
-}  // namespace
-
-std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not) {
-  const NcclLibrary* const library = nccl_library(why_not);
-  Seat seat;
-  agree(ranks, [&] { seat = own_seat(library); });
-  const std::string hindered = hindrance(ranks, all_of(ranks, seat));
-  if (!hindered.empty()) {
-    if (why_not.empty()) why_not = hindered;
-    return host_exchange(ranks);
-  }
-  std::unique_ptr<RankExchange> exchange;
+// A device that waits for one whose process has ended waits for ever. So when this one fails, its process must end.
+[[noreturn]] void end_with(cudaError_t state) {
   try {
-    std::vector<std::byte> id(library->id_bytes);
-    agree(ranks, [&] {
-      if (ranks.rank() == 0) library->make_id(id.data());
-    });
-    ranks.broadcast(id);
-    agree(ranks, [&] { exchange = library->join(id.data(), ranks); });
-  } catch (const RankLost&) {
-    throw;
-  } catch (const Error& error) {  // all ranks have it
-    why_not = error.message();
-    return host_exchange(ranks);
+    check(state, "waiting for the device");
+  } catch (const Error& error) {
+    throw RankLost(error.kind(), error.code(), error.message(), error.remedy());
   }
-  return exchange;
+  throw RankLost(ErrorKind::internal, "internal.cuda.fault", "a device reported a failure without an error", "");
 }
 
-std::unique_ptr<RankExchange> host_exchange(Ranks& ranks) { return std::make_unique<HostExchange>(ranks); }
+}  // namespace
 
 RayRange rays_of(std::int64_t rays, int number, int parts) {
   const std::int64_t each = (rays + parts - 1) / parts;
@@ -173,9 +94,9 @@ GradientSums::GradientSums(const DeviceOptions& options, std::span<float> gradie
   check(cudaEventCreateWithFlags(&summed_, cudaEventDisableTiming), "making an event");
 }
 
-// The exchange goes first: a sum that waits for a rank that has ended is given up with it.
+// The communicator goes first: a sum that waits for a rank that has ended is given up with it.
 GradientSums::~GradientSums() {
-  exchange_.reset();
+  if (communicator_ != nullptr) nccl_->leave(communicator_);
   if (ranks_ == nullptr) return;
   (void)cudaStreamSynchronize(between_);
   (void)cudaEventDestroy(summed_);
@@ -184,26 +105,58 @@ GradientSums::~GradientSums() {
 }
 
 void GradientSums::join() {
-  if (ranks_ == nullptr || exchange_) return;
+  if (ranks_ == nullptr || joined_) return;
   if (deterministic_ && ranks() > 1) {
     throw Error(ErrorKind::config, "ranks.deterministic.several",
                 fmt::format("runtime.deterministic gives the bits of one GPU, and this run has {} processes", ranks()),
                 "start one process, or set runtime.deterministic: false");
   }
   std::string why_not;
-  exchange_ = meet_ranks(*ranks_, why_not);
+  nccl_ = nccl_library(why_not);
+  Seat seat;
+  semfield::agree(*ranks_, [&] { seat = own_seat(nccl_); });
+  const std::string hindered = hindrance(*ranks_, all_of(*ranks_, seat));
+  if (hindered.empty()) {
+    try {
+      join_nccl();
+    } catch (const RankLost&) {
+      throw;
+    } catch (const Error& error) {  // all ranks have it
+      why_not = error.message();
+    }
+  } else if (why_not.empty()) {
+    why_not = hindered;
+  }
+  joined_ = true;
   if (!why_not.empty())
     notes_.push_back("gradients meet in the host's memory, which takes longer than NCCL: " + why_not);
 }
 
+void GradientSums::join_nccl() {
+  std::vector<std::byte> id(nccl_->id_bytes);
+  semfield::agree(*ranks_, [&] {
+    if (rank() == 0) nccl_->make_id(id.data());
+  });
+  ranks_->broadcast(id);
+  void* joined = nullptr;
+  try {
+    semfield::agree(*ranks_, [&] { joined = nccl_->join(id.data(), rank(), ranks()); });
+  } catch (...) {
+    if (joined != nullptr) nccl_->leave(joined);
+    throw;
+  }
+  communicator_ = joined;
+}
+
 void GradientSums::reserve() {
-  if (!exchange_) return;
-  std::size_t most = 0, begin = 0;
+  if (!waits() || all_) return;
+  std::size_t most = 1, begin = 0;
   for (const std::size_t end : ends_) {
     most = std::max(most, end - begin);
     begin = end;
   }
-  exchange_->reserve(most);
+  own_ = pinned<float>(most, "pinned memory of gradients");
+  all_ = pinned<float>(std::min(most, kPiece) * static_cast<std::size_t>(ranks()), "pinned memory of gradients");
 }
 
 void GradientSums::agree(const std::function<void()>& work) {
@@ -227,7 +180,7 @@ void GradientSums::afterwards(const std::function<void()>& work) {
 }
 
 void GradientSums::begin(bool overlapped) {
-  overlapped_ = overlapped && exchange_ && exchange_->queues();
+  overlapped_ = overlapped && communicator_ != nullptr;
   next_pass_ = 0;
 }
 
@@ -245,19 +198,70 @@ void GradientSums::sum_pass(std::size_t pass, FaultKey* fault) {
   if (block.empty() && fault == nullptr) return;
   check(cudaEventRecord(walked_, launch().stream), "marking a pass");
   check(cudaStreamWaitEvent(between_, walked_, 0), "waiting for a pass");
-  exchange_->sum(block, fault, between_);
+  if (communicator_ != nullptr) return nccl_->sum(communicator_, block, fault, between_);
+  sum_on_host(block, fault);
+}
+
+// What is left of a call when the ranks need each other no more may fail on one rank alone.
+void GradientSums::sum_on_host(std::span<float> block, FaultKey* fault) {
+  FaultKey own = kNoFault;
+  semfield::agree(*ranks_, [&] {  // an error of one rank ends the wait of all
+    if (!block.empty()) {
+      check(cudaMemcpyAsync(own_.get(), block.data(), block.size_bytes(), cudaMemcpyDeviceToHost, between_),
+            "fetching gradients");
+    }
+    if (fault != nullptr)
+      check(cudaMemcpyAsync(&own, fault, sizeof own, cudaMemcpyDeviceToHost, between_), "fetching a fault");
+    check(cudaStreamSynchronize(between_), "waiting for gradients");
+  });
+  const auto size = static_cast<std::size_t>(ranks());
+  for (std::size_t begin = 0; begin < block.size(); begin += kPiece) {
+    const std::size_t count = std::min(kPiece, block.size() - begin);
+    const std::vector<std::size_t> bytes(size, count * sizeof(float));
+    ranks_->all_gather(std::as_bytes(std::span(own_.get() + begin, count)),
+                       std::as_writable_bytes(std::span(all_.get(), size * count)), bytes);
+    for (std::size_t i = 0; i < count; ++i) {  // in the order of ranks, so that all get the same
+      float total = all_.get()[i];
+      for (std::size_t r = 1; r < size; ++r) total += all_.get()[r * count + i];
+      own_.get()[begin + i] = total;
+    }
+  }
+  if (!block.empty()) {
+    check(cudaMemcpyAsync(block.data(), own_.get(), block.size_bytes(), cudaMemcpyHostToDevice, between_),
+          "sending gradients");
+  }
+  if (fault == nullptr) return;
+  const std::vector<FaultKey> all = all_of(*ranks_, own);
+  least_ = *std::min_element(all.begin(), all.end());
+  check(cudaMemcpyAsync(fault, &least_, sizeof least_, cudaMemcpyHostToDevice, between_), "sending a fault");
 }
 
 void GradientSums::meet(FaultKey* fault) {
-  if (!exchange_) return;
+  if (!joined_) return;
   for (std::size_t p = next_pass_; p < ends_.size(); ++p) sum_pass(p, p + 1 == ends_.size() ? fault : nullptr);
   check(cudaEventRecord(summed_, between_), "marking a sum");
   check(cudaStreamWaitEvent(launch().stream, summed_, 0), "waiting for a sum");
 }
 
 void GradientSums::wait() {
-  if (exchange_) return exchange_->wait(launch().stream);
-  synchronize();
+  if (communicator_ == nullptr) return synchronize();
+  using Clock = std::chrono::steady_clock;
+  constexpr std::chrono::milliseconds kSpin{1}, kWatch{50};
+  constexpr std::chrono::microseconds kNap{20};
+  const Clock::time_point begin = Clock::now();
+  Clock::time_point next_watch = begin + kWatch;
+  for (;;) {
+    const cudaError_t state = cudaStreamQuery(launch().stream);
+    if (state == cudaSuccess) return;
+    if (state != cudaErrorNotReady) end_with(state);
+    const Clock::time_point now = Clock::now();
+    if (now >= next_watch) {
+      nccl_->check(communicator_);
+      ranks_->watch();
+      next_watch = now + kWatch;
+    }
+    if (now - begin > kSpin) std::this_thread::sleep_for(kNap);
+  }
 }
 
 std::vector<StepSums> GradientSums::of_all_ranks(std::span<const StepSums> mine) const {
