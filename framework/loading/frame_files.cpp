@@ -142,6 +142,10 @@ void require_folder(const fs::path& folder, const std::string& remedy) {
     throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing", remedy);
 }
 
+std::string in_folder(const fs::path& folder, const std::string& name) {
+  return fs::is_directory(folder) ? (folder / name).string() : "";
+}
+
 std::string ending_of(const std::string& path) {
   std::string out = fs::path(path).extension().string();
   for (char& c : out) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));

@@ -62,6 +62,8 @@ struct FrameFiles {
 
 /// Throws Error(no_input) for a folder that is not there.
 void require_folder(const std::filesystem::path& folder, const std::string& remedy);
+/// The path of a file in a folder; "" where there is no such folder.
+std::string in_folder(const std::filesystem::path& folder, const std::string& name);
 /// The extension in small letters: ".jpg".
 std::string ending_of(const std::string& path);
 /// Of photographs, as `files_with` takes them.

@@ -52,6 +52,19 @@ bool set_image_size(Camera& camera, double width, double height, const std::stri
   return true;
 }
 
+void set_first_size(Camera& camera, const std::vector<PosedPhotograph>& photographs, std::string FrameFiles::*file) {
+  for (const PosedPhotograph& photograph : photographs) {
+    try {
+      const ImageSize size = image_size(photograph.*file);
+      camera.width_px = size.width_px;
+      camera.height_px = size.height_px;
+      return;
+    } catch (const Error&) {
+      continue;
+    }
+  }
+}
+
 // Whether the camera of a frame is that of its image: the size that it states against the size of the file.
 
 namespace {
@@ -512,6 +525,8 @@ SceneInfo PosedPhotographs::open(std::vector<PosedPhotograph> all, PhotographRul
   const fs::path canonical = fs::weakly_canonical(root_);
   info_ = {};
   info_.opengl_files = rules_.opengl_files;
+  info_.metric = rules_.metric;
+  info_.tracked = rules_.tracked;
   info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
   photos_.clear();
   FrameNames names;

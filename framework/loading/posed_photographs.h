@@ -78,11 +78,12 @@ struct PhotographRules {
   FrameReadRules read = {
       .depth = DepthGrid::picture};  ///< unknown_labels and the unit of depth are those of parameters and photographs
   bool opengl_files = false;         ///< of SceneInfo; `matrix` is turned
-  std::string place = {};            ///< of what is wrong with all; "": the root
-  std::string poses = {};            ///< the same of their poses, which are from there; "": `place`
-  double depth_unit_m = 0;           ///< in place of the photographs'; 0: theirs
-  bool with_masks = true;            ///< masks are looked for by the photographs' names
-  bool labels_by_name = true;        ///< label images are looked for in `label_dir`; false: the photographs name theirs
+  bool metric = true, tracked = false;  ///< of SceneInfo
+  std::string place = {};               ///< of what is wrong with all; "": the root
+  std::string poses = {};               ///< the same of their poses, which are from there; "": `place`
+  double depth_unit_m = 0;              ///< in place of the photographs'; 0: theirs
+  bool with_masks = true;               ///< masks are looked for by the photographs' names
+  bool labels_by_name = true;  ///< label images are looked for in `label_dir`; false: the photographs name theirs
   std::vector<std::string> class_folders = {};  ///< in which a class table may lie; none: the root
   std::string class_file = {};                  ///< that the index names
   std::vector<ClassEntry> class_list = {};      ///< that the index holds
@@ -92,6 +93,9 @@ struct PhotographRules {
 /// Sets the size of a camera to numbers of a file; false (reported under `place`) unless they are whole numbers of
 /// pixels.
 bool set_image_size(Camera& camera, double width, double height, const std::string& place, Diagnostics& diagnostics);
+/// Sets it to that of the first file of this kind that can be read; the headers of others are checked with their
+/// frames.
+void set_first_size(Camera& camera, const std::vector<PosedPhotograph>& photographs, std::string FrameFiles::*file);
 
 /// The files of a scene's frames before any is decoded: there or not, of the right size or not.
 class FrameFileCheck {

@@ -24,12 +24,15 @@ namespace {
 constexpr double kSameTime_s = 0.005;  // between a photograph and a pose; poses come ten times a second
 constexpr const char* kTrajectory = "lowres_wide.traj";
 
-// The numbers of a line, which has to hold `count` of them. Throws Error(data).
+[[noreturn]] void refuse(Code code, const std::string& what, const char* remedy = "download the scene again") {
+  throw Error(ErrorKind::data, code, what, remedy);
+}
+
+// The numbers of a line, which has to hold `count` of them.
 std::vector<double> numbers_of(const TextRow& row, std::size_t count) {
   std::vector<double> out;
   if (parse_numbers(row.fields.front(), out).empty() && out.size() == count) return out;
-  throw Error(ErrorKind::data, "scene.index.value", row.place + ": expected " + std::to_string(count) + " numbers",
-              "download the scene again");
+  refuse("scene.index.value", fmt::format("{}: expected {} numbers", row.place, count));
 }
 
 // By time: a line is the time, the turn of camera from world as an axis times its angle, and the shift.
@@ -39,13 +42,9 @@ std::map<double, Pose> read_trajectory(const std::string& path) {
   for (const TextRow& row : read_text_rows(path, '\n')) {
     const std::vector<double> v = numbers_of(row, 7);
     const double angle = std::hypot(v[1], v[2], v[3]), s = angle > 0 ? std::sin(angle / 2) / angle : 0.5;
-    if (!std::isfinite(v[0]))
-      throw Error(ErrorKind::data, "scene.index.value", row.place + ": the time is not finite",
-                  "download the scene again");
-    const auto [other, fresh] = lines.emplace(v[0], row.place);
-    if (!fresh)
-      throw Error(ErrorKind::data, "scene.index.twice", row.place + ": has the time of " + other->second,
-                  "keep one of the two lines");
+    if (!std::isfinite(v[0])) refuse("scene.index.value", row.place + ": the time is not finite");
+    if (const auto [other, fresh] = lines.emplace(v[0], row.place); !fresh)
+      refuse("scene.index.twice", row.place + ": has the time of " + other->second, "keep one of the two lines");
     Pose& pose = out[v[0]];
     set_rotation(pose, {std::cos(angle / 2), -s * v[1], -s * v[2], -s * v[3]});  // turned back: world from camera
     pose.t = pose.rotate({v[4], v[5], v[6]}) * -1.0;
@@ -84,7 +83,6 @@ SceneInfo find_photographs(const ArkitScenesParams&, PosedPhotographs& files, Di
   files.require({"", "lowres_wide", kTrajectory, "lowres_wide_intrinsics"}, "the download of ARKitScenes");
   const fs::path root(files.root());
   const std::map<double, Pose> poses = read_trajectory((root / kTrajectory).string());
-  const bool has_depth = fs::is_directory(root / "lowres_depth");
   std::vector<PosedPhotograph> photos;
   std::size_t without_pose = 0;
   std::map<double, std::string> by_time;
@@ -122,7 +120,7 @@ SceneInfo find_photographs(const ArkitScenesParams&, PosedPhotographs& files, Di
     photo.camera.fy = v[3];
     photo.camera.cx = v[4];
     photo.camera.cy = v[5];
-    if (has_depth) photo.depth = (root / "lowres_depth" / (stem + ".png")).string();
+    photo.depth = in_folder(root / "lowres_depth", stem + ".png");
     photo.confidence = (root / "confidence" / (stem + ".png")).string();
     photos.push_back(std::move(photo));
   }
@@ -130,9 +128,7 @@ SceneInfo find_photographs(const ArkitScenesParams&, PosedPhotographs& files, Di
     diagnostics.note("scene.pose.skipped", files.root(),
                      fmt::format("{} of {} photographs are left out: the trajectory has no pose within {:g} ms of them",
                                  without_pose, images.size(), 1000 * kSameTime_s));
-  SceneInfo info = files.open(std::move(photos), {}, diagnostics);
-  info.tracked = true;
-  return info;
+  return files.open(std::move(photos), {.tracked = true}, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(arkit_scenes, "1.0", [](Registry& registry) {

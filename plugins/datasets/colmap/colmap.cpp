@@ -70,10 +70,8 @@ std::string recognise(const std::string& path, ColmapParams& p) {
       break;
     }
   }
-  for (const char* folder : {"labels", "label", "semantic", "semantic_class"}) {
-    if (holds_files(root / folder, {".png"})) p.label_dir = folder;
-    if (!p.label_dir.empty()) break;
-  }
+  for (const char* folder : {"labels", "label", "semantic", "semantic_class"})
+    if (p.label_dir.empty() && holds_files(root / folder, {".png"})) p.label_dir = folder;
   return std::string("a COLMAP model") + (std::string(*model) == "." ? "" : std::string(" in ") + *model);
 }
 
@@ -85,17 +83,14 @@ void set_extent(const ColmapModel& model, SceneInfo& info) {
   constexpr double kLost = 0.005, kMargin = 0.1;
   constexpr std::size_t kEnough = 100;
   if (model.points.size() < kEnough) return;
-  Box box;
-  std::vector<double> values;
   Vec3d lo, hi;
   for (int a = 0; a < 3; ++a) {
-    values.clear();
+    std::vector<double> values;
     for (const auto& [id, point] : model.points) values.push_back(point[a]);
     lo[a] = quantile(values, kLost);
     hi[a] = quantile(values, 1 - kLost);
   }
-  box.include(lo - (hi - lo) * kMargin);
-  box.include(hi + (hi - lo) * kMargin);
+  Box box{lo - (hi - lo) * kMargin, hi + (hi - lo) * kMargin};
   for (const FrameInfo& frame : info.frames) box.include(frame.world_from_camera.t);
   std::vector<double> distances;
   for (const ColmapImage& image : model.images) {
@@ -157,8 +152,7 @@ SceneInfo find_photographs(const ColmapParams& params, PosedPhotographs& files, 
     photo.world_from_camera = in.world_from_camera;
     if (photo.camera.width_px > 0) photos.push_back(std::move(photo));  // one without a size was refused
   }
-  SceneInfo info = files.open(std::move(photos), {.poses = folder}, diagnostics);
-  info.metric = false;
+  SceneInfo info = files.open(std::move(photos), {.metric = false, .poses = folder}, diagnostics);
   set_extent(model, info);
   return info;
 }

@@ -93,17 +93,12 @@ SceneInfo find_photographs(const LlffParams& params, PosedPhotographs& files, Di
                         "write height and width in whole pixels, and the focal length, in the fifth column");
       continue;
     }
-    Camera& c = photo.camera;
-    c.width_px = static_cast<std::int32_t>(std::lround(width));
-    c.height_px = static_cast<std::int32_t>(std::lround(height));
-    c.fx = c.fy = focal;
-    c.cx = 0.5 * c.width_px;
-    c.cy = 0.5 * c.height_px;
+    const auto w = static_cast<std::int32_t>(std::lround(width)), h = static_cast<std::int32_t>(std::lround(height));
+    photo.camera = {w, h, focal, focal, 0.5 * w, 0.5 * h};
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(std::move(photos), {.poses = path}, diagnostics);
-  info.metric = false;  // nothing in the file tells the unit
-  return info;
+  // Nothing in the file tells the unit.
+  return files.open(std::move(photos), {.metric = false, .poses = path}, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(llff, "1.0", [](Registry& registry) {

@@ -68,7 +68,6 @@ SceneInfo find_photographs(const PolycamParams&, PosedPhotographs& files, Diagno
   files.require({"", "keyframes", "keyframes/images", "keyframes/cameras"}, "a raw export of Polycam");
   const fs::path keyframes = fs::path(files.root()) / "keyframes";
   const std::string kind = is_corrected(keyframes) ? "corrected_" : "";
-  const bool has_depth = fs::is_directory(keyframes / "depth");
   std::vector<PosedPhotograph> photos;
   for (const std::string& image : files_with((keyframes / (kind + "images")).string(), kPhotographs)) {
     const std::string stem = fs::path(image).stem().string();
@@ -76,13 +75,11 @@ SceneInfo find_photographs(const PolycamParams&, PosedPhotographs& files, Diagno
     photo.color = image;
     photo.high = 255;
     if (!read_camera((keyframes / (kind + "cameras") / (stem + ".json")).string(), photo, diagnostics)) continue;
-    if (has_depth) photo.depth = (keyframes / "depth" / (stem + ".png")).string();
+    photo.depth = in_folder(keyframes / "depth", stem + ".png");
     photo.confidence = (keyframes / "confidence" / (stem + ".png")).string();
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(std::move(photos), {.opengl_files = true}, diagnostics);
-  info.tracked = true;
-  return info;
+  return files.open(std::move(photos), {.opengl_files = true, .tracked = true}, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(polycam, "1.0", [](Registry& registry) {

@@ -1,5 +1,7 @@
 // Exports of Record3D from a phone with LiDAR: rgb/, depth/ and metadata.json.
-#include <cmath>
+#include <fmt/format.h>
+
+#include <array>
 #include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -21,7 +23,7 @@ struct Record3dParams : PhotographParams {};
 
 namespace {
 
-constexpr const char* kMetadata = "metadata.json";
+constexpr const char *kMetadata = "metadata.json", *kAgain = "export the recording again";
 
 const json& member(const json& map, const char* key) {
   static const json none;
@@ -48,15 +50,12 @@ bool rows_of(const json& root, const char* key, const std::string& path, std::ve
   out.resize(rows.is_array() ? rows.size() : 0);
   for (std::size_t i = 0; i < out.size(); ++i) {
     if (numbers_of(rows[i], out[i])) continue;
-    diagnostics.error(
-        "scene.index.value", path,
-        "row " + std::to_string(i) + " of '" + key + "' is not a list of " + std::to_string(N) + " numbers",
-        "export the recording again");
+    diagnostics.error("scene.index.value", path, fmt::format("row {} of '{}' is not a list of {} numbers", i, key, N),
+                      kAgain);
     return false;
   }
-  if (!out.empty()) return true;
-  diagnostics.error("scene.index.format", path, std::string("has no list '") + key + "'", "export the recording again");
-  return false;
+  if (out.empty()) diagnostics.error("scene.index.format", path, fmt::format("has no list '{}'", key), kAgain);
+  return !out.empty();
 }
 
 // Column by column as the app writes it; row by row as others store a matrix.
@@ -78,18 +77,14 @@ struct Recording {
 };
 
 Recording read_recording(const std::string& path, Diagnostics& diagnostics) {
-  const json root = read_pose_json<json>(path, "export the recording again");
+  const json root = read_pose_json<json>(path, kAgain);
   if (!root.is_object())
     throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' is not a map of 'K', 'w', 'h' and 'poses'",
-                "export the recording again");
+                kAgain);
   Recording out;
   if (!rows_of(root, "poses", path, out.poses, diagnostics)) return {};
-  double size[2] = {};
-  for (const int i : {0, 1}) {
-    const json& side = member(root, i == 0 ? "w" : "h");
-    size[i] = side.is_number() ? side.get<double>() : 0;
-  }
-  if (!set_image_size(out.camera, size[0], size[1], path, diagnostics)) return {};
+  const auto side = [&](const char* key) { return member(root, key).is_number() ? root[key].get<double>() : 0; };
+  if (!set_image_size(out.camera, side("w"), side("h"), path, diagnostics)) return {};
   std::array<double, 9> k{};
   if (!numbers_of(member(root, "K"), k) || !set_lens(k, out.camera)) {
     diagnostics.error("scene.camera.format", path, "'K' is not a pinhole camera without skew",
@@ -102,9 +97,8 @@ Recording read_recording(const std::string& path, Diagnostics& diagnostics) {
     if (!rows_of(root, kEach, path, out.lens, diagnostics)) return {};
     if (out.lens.size() != out.poses.size()) {
       diagnostics.error("scene.pose.count", path,
-                        std::string("has ") + std::to_string(out.poses.size()) + " poses and " +
-                            std::to_string(out.lens.size()) + " rows of '" + kEach + "'",
-                        "export the recording again");
+                        fmt::format("has {} poses and {} rows of '{}'", out.poses.size(), out.lens.size(), kEach),
+                        kAgain);
       return {};
     }
   }
@@ -135,23 +129,22 @@ SceneInfo find_photographs(const Record3dParams&, PosedPhotographs& files, Diagn
   const Recording recording = read_recording(path, diagnostics);
   std::vector<PosedPhotograph> photos;
   if (recording.poses.empty()) return {};
-  const bool has_depth = fs::is_directory(root / "depth");
   for (const auto& [number, image] : numbered_photographs((root / "rgb").string(), diagnostics)) {
     // Frames that were deleted from the folder keep their poses in the file: only the number tells whose a pose is.
     const auto i = static_cast<std::size_t>(number);
     if (i >= recording.poses.size()) {
+      const std::size_t count = recording.poses.size();
       diagnostics.error("scene.pose.count", "'" + image + "'",
-                        "'" + path + "' has " + std::to_string(recording.poses.size()) + " poses, of the frames 0 to " +
-                            std::to_string(recording.poses.size() - 1),
+                        fmt::format("'{}' has {} poses, of the frames 0 to {}", path, count, count - 1),
                         "keep the names that the export gave, or remove the image");
       continue;
     }
     PosedPhotograph photo;
     photo.color = image;
-    if (has_depth) photo.depth = (root / "depth" / (fs::path(image).stem().string() + ".exr")).string();
-    const std::array<double, 7>& pose = recording.poses[i];
-    set_rotation(photo.world_from_camera, {pose[3], pose[0], pose[1], pose[2]});
-    photo.world_from_camera.t = {pose[4], pose[5], pose[6]};
+    photo.depth = in_folder(root / "depth", fs::path(image).stem().string() + ".exr");
+    const auto& [qx, qy, qz, qw, x, y, z] = recording.poses[i];
+    set_rotation(photo.world_from_camera, {qw, qx, qy, qz});
+    photo.world_from_camera.t = {x, y, z};
     photo.world_from_camera = opencv_from_opengl(photo.world_from_camera);
     photo.camera = recording.camera;
     if (!recording.lens.empty()) {
@@ -160,9 +153,7 @@ SceneInfo find_photographs(const Record3dParams&, PosedPhotographs& files, Diagn
     }
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(std::move(photos), {.opengl_files = true}, diagnostics);
-  info.tracked = true;
-  return info;
+  return files.open(std::move(photos), {.opengl_files = true, .tracked = true}, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(record3d, "1.0", [](Registry& registry) {

@@ -1,5 +1,7 @@
 // Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/; or as NICE-SLAM
 // renders them: traj.txt, results/frame*.jpg and depth*.png.
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -66,31 +68,22 @@ SlamCamera read_slam_camera(const std::string& folder, Diagnostics& diagnostics)
   const json root = read_pose_json<json>(path, "download the scene again");
   bool sound = true;
   const auto number = [&](const char* key) {
-    const bool there = root.is_object() && root.contains("camera") && root["camera"].is_object() &&
-                       root["camera"].contains(key) && root["camera"][key].is_number();
-    if (there) return root["camera"][key].get<double>();
+    const json camera = root.is_object() ? root.value("camera", json()) : json();
+    if (camera.is_object() && camera.contains(key) && camera[key].is_number()) return camera[key].get<double>();
     if (sound)
       diagnostics.error("scene.index.value", path, std::string("has no number '") + key + "' in 'camera'",
                         "download the scene again");
     sound = false;
     return 0.0;
   };
-  SlamCamera out;
-  Camera camera;
   const double width = number("w"), height = number("h"), steps = number("scale");
-  camera.fx = number("fx");
-  camera.fy = number("fy");
-  camera.cx = number("cx") + 0.5;  // centres of pixels are whole numbers there
-  camera.cy = number("cy") + 0.5;
-  if (!sound || !set_image_size(camera, width, height, path, diagnostics)) return out;
-  if (!(steps >= 1e-6 && steps <= 1e9)) {
-    diagnostics.error("scene.index.value", path, "'scale' is not a number of steps per metre",
-                      "write the steps of a depth image per metre, such as 6553.5");
-    return out;
-  }
-  out.camera = camera;
-  out.depth_unit_m = 1 / steps;
-  return out;
+  // Centres of pixels are whole numbers there.
+  Camera camera{0, 0, number("fx"), number("fy"), number("cx") + 0.5, number("cy") + 0.5};
+  if (!sound || !set_image_size(camera, width, height, path, diagnostics)) return {};
+  if (steps >= 1e-6 && steps <= 1e9) return {camera, 1 / steps};
+  diagnostics.error("scene.index.value", path, "'scale' is not a number of steps per metre",
+                    "write the steps of a depth image per metre, such as 6553.5");
+  return {};
 }
 
 }  // namespace
@@ -132,13 +125,11 @@ void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
                       "take 2 or more, or 0 for test_every");
   // Two arithmetic sequences meet when their offsets agree modulo the greatest common divisor of their steps.
   if (p.train_step > 0 && p.test_step > 0 &&
-      (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0) {
+      (p.train_offset - p.test_offset) % std::gcd(p.train_step, p.test_step) == 0)
     diagnostics.error("scene.split.overlap", "test_offset",
-                      "test frames " + std::to_string(p.test_offset) + " + n * " + std::to_string(p.test_step) +
-                          " meet training frames " + std::to_string(p.train_offset) + " + n * " +
-                          std::to_string(p.train_step),
+                      fmt::format("test frames {} + n * {} meet training frames {} + n * {}", p.test_offset,
+                                  p.test_step, p.train_offset, p.train_step),
                       "choose offsets that never meet, or test_step: 0");
-  }
 }
 
 std::string recognise(const std::string& path, ReplicaParams& p) {
@@ -166,10 +157,9 @@ class Replica {
     for (const std::string& labels : {params_.label_dir, params_.test_label_dir}) {
       // The default folder may be absent (a scene without labels); one that was asked for may not.
       const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
-      if (asked && !fs::is_directory(fs::path(folder) / labels)) {
+      if (asked && !fs::is_directory(fs::path(folder) / labels))
         diagnostics.error("labels.folder.missing", (fs::path(folder) / labels).string(), "label folder is missing",
                           "check scene.label_dir and scene.test_label_dir");
-      }
     }
     index_labels(folder, diagnostics);
     std::size_t rows = 0;
@@ -189,11 +179,10 @@ class Replica {
     std::size_t unused = 0;
     for (std::size_t number = 0; number < rows; ++number)
       unused += split_of(static_cast<int>(number)) == Split::unused ? 1 : 0;
-    if (unused > 0) {
-      diagnostics.note("scene.frames.unused", root_,
-                       std::to_string(unused) + " of " + std::to_string(rows) +
-                           " frames are in neither split (scene.split, or train_step and test_step)");
-    }
+    if (unused > 0)
+      diagnostics.note(
+          "scene.frames.unused", root_,
+          fmt::format("{} of {} frames are in neither split (scene.split, or train_step and test_step)", unused, rows));
     report_unlabelled(info, folder, diagnostics);
     return info;
   }
@@ -224,16 +213,7 @@ class Replica {
   // that cam_params.json names follows the size of each image.
   void set_cameras(const std::string& folder, std::vector<PosedPhotograph>& photos, Diagnostics& diagnostics) const {
     Camera camera;
-    for (const PosedPhotograph& photo : photos) {
-      try {
-        const ImageSize size = image_size(photo.color);
-        camera.width_px = size.width_px;
-        camera.height_px = size.height_px;
-        break;
-      } catch (const Error&) {
-        continue;
-      }
-    }
+    set_first_size(camera, photos, &FrameFiles::color);
     // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
     camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
     camera.cx = 0.5 * camera.width_px;
@@ -263,14 +243,14 @@ class Replica {
       const auto number = static_cast<int>(rows++);
       if (numbers.size() != 16 || !bad.empty()) {
         const bool quaternion = bad.empty() && (numbers.size() == 7 || numbers.size() == 8);  // 8: a time stands first
-        diagnostics.error(
-            "scene.pose.format", place,
-            "expected 16 numbers, got " + std::to_string(numbers.size()) +
-                (quaternion                                 ? ", as of a position and a quaternion"
-                 : bad.empty()                              ? ""
-                 : bad.find('\0') != std::string_view::npos ? " and a NUL byte"
-                                                            : " and the text '" + std::string(bad.substr(0, 40)) + "'"),
-            "write one camera-to-world matrix a line, row by row");
+        const std::string more = quaternion    ? ", as of a position and a quaternion"
+                                 : bad.empty() ? ""
+                                 : bad.find('\0') != std::string_view::npos
+                                     ? " and a NUL byte"
+                                     : fmt::format(" and the text '{}'", bad.substr(0, 40));
+        diagnostics.error("scene.pose.format", place,
+                          fmt::format("expected 16 numbers, got {}{}", numbers.size(), more),
+                          "write one camera-to-world matrix a line, row by row");
         continue;
       }
       const Split split = split_of(number);
@@ -314,9 +294,8 @@ class Replica {
     if (without.empty()) return;
     std::sort(without.begin(), without.end());
     const std::string trajectory = (fs::path(folder) / trajectory_file()).string();
-    const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from " +
-                                 color_prefix() + std::to_string(without.front()) + " on " +
-                                 std::to_string(without.size()) + " have none";
+    const std::string sentence = fmt::format("{} poses for {} images: from {}{} on {} have none", rows, images, kPrefix,
+                                             without.front(), without.size());
     if (params_.missing == MissingFiles::skip)
       return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
     diagnostics.error(
@@ -326,23 +305,18 @@ class Replica {
 
   FrameFiles files_of(const std::string& folder, int number, Split split) const {
     const std::string n = std::to_string(number) + ".png";
-    const auto in_folder = [&](const std::string& directory, const char* prefix) {
-      const fs::path where = fs::path(folder) / directory;
-      return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
-    };
+    const fs::path root(folder);
     FrameFiles files;
     if (slam_) {
-      const std::string digits = std::string(6 - std::min<std::size_t>(6, n.size() - 4), '0') + std::to_string(number);
-      const fs::path results = fs::path(folder) / "results";
-      const fs::path lossless = results / ("frame" + digits + ".png");
-      files.color = fs::exists(lossless) ? lossless.string() : (results / ("frame" + digits + ".jpg")).string();
-      files.depth = (results / ("depth" + digits + ".png")).string();
+      const fs::path lossless = root / "results" / fmt::format("frame{:06}.png", number);
+      files.color = (fs::exists(lossless) ? lossless : fs::path(lossless).replace_extension(".jpg")).string();
+      files.depth = (root / "results" / fmt::format("depth{:06}.png", number)).string();
     } else {
-      files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
-      files.depth = in_folder("depth", "depth_");
+      files.color = (root / "rgb" / ("rgb_" + n)).string();
+      files.depth = in_folder(root / "depth", "depth_" + n);
     }
     files.label = label_of(number, split);
-    files.instance = in_folder("semantic_instance", "semantic_instance_");
+    files.instance = in_folder(root / "semantic_instance", "semantic_instance_" + n);
     return files;
   }
 
@@ -362,13 +336,11 @@ class Replica {
             digits.find_first_not_of("0123456789") != std::string::npos) {
           continue;
         }
-        const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string());
-        if (!fresh) {
+        if (const auto [other, fresh] = files.emplace(std::stoi(digits), entry.path().string()); !fresh)
           diagnostics.error("labels.frame.twice", where.string(),
-                            "'" + fs::path(other->second).filename().string() + "' and '" +
-                                entry.path().filename().string() + "' are labels of the same frame",
+                            fmt::format("'{}' and '{}' are labels of the same frame",
+                                        fs::path(other->second).filename().string(), entry.path().filename().string()),
                             "keep one of the two");
-        }
       }
     }
   }
@@ -397,14 +369,12 @@ class Replica {
       const auto missing = std::count_if(info.frames.begin(), info.frames.end(),
                                          [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
       const std::string place = (fs::path(folder) / labels).string();
-      if (all > 0 && missing == all) {
-        diagnostics.error("labels.frames.missing", place, std::string("no label image of any ") + what + " frame in it",
+      if (all > 0 && missing == all)
+        diagnostics.error("labels.frames.missing", place, fmt::format("no label image of any {} frame in it", what),
                           "name them semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
-      } else if (missing > 0) {
-        diagnostics.note(
-            "labels.frames.missing", place,
-            std::to_string(missing) + " of " + std::to_string(all) + " " + what + " frames have no label image");
-      }
+      else if (missing > 0)
+        diagnostics.note("labels.frames.missing", place,
+                         fmt::format("{} of {} {} frames have no label image", missing, all, what));
     }
   }
 

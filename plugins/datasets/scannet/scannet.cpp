@@ -1,4 +1,6 @@
 // Exported ScanNet scenes: color/, depth/, pose/, intrinsic/, label-filt/, instance-filt/.
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -77,13 +79,10 @@ std::optional<std::vector<double>> read_matrix(const std::string& path, const st
     diagnostics.error(e.code(), place, e.message(), e.remedy());
     return std::nullopt;
   }
-  if (numbers.size() != 16) {
-    diagnostics.error("scene.pose.format", place,
-                      "'" + path + "': expected 16 numbers, got " + std::to_string(numbers.size()),
-                      "write a 4 x 4 matrix row by row");
-    return std::nullopt;
-  }
-  return numbers;
+  if (numbers.size() == 16) return numbers;
+  diagnostics.error("scene.pose.format", place, fmt::format("'{}': expected 16 numbers, got {}", path, numbers.size()),
+                    "write a 4 x 4 matrix row by row");
+  return std::nullopt;
 }
 
 /// A frame is delivered by the colour camera, at its size. Depth is looked up at the depth camera's pixel that the
@@ -96,7 +95,6 @@ class Scannet {
   SceneInfo open(Diagnostics& diagnostics) {
     const fs::path root(root_);
     std::vector<PosedPhotograph> views = list_views(diagnostics);
-    const bool has_depth = fs::is_directory(root / "depth"), has_instances = fs::is_directory(root / "instance-filt");
     const bool has_labels = !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir);
     if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_labels)
       diagnostics.error("labels.folder.missing", (root / params_.label_dir).string(), "label folder is missing",
@@ -108,11 +106,11 @@ class Scannet {
     for (std::size_t rank = 0; rank < views.size(); ++rank) {
       PosedPhotograph& view = views[rank];
       const std::string file = fs::path(view.color).stem().string() + ".png";
-      if (has_depth) view.depth = (root / "depth" / file).string();
+      view.depth = in_folder(root / "depth", file);
       // Not every frame is labelled.
       if (const fs::path label = root / params_.label_dir / file; has_labels && fs::exists(label))
         view.label = label.string();
-      if (has_instances) view.instance = (root / "instance-filt" / file).string();
+      view.instance = in_folder(root / "instance-filt", file);
       // Which is held out: 1, 3, 5, ... of the default 2.
       view.split = HoldOut{params_.test_every, params_.test_every - 1}.split_of(rank, views.size());
       view.intrinsics = Intrinsics::exact;
@@ -120,7 +118,7 @@ class Scannet {
     const Camera color = read_camera("intrinsic_color.txt", views, &FrameFiles::color, diagnostics);
     for (PosedPhotograph& view : views) view.camera = color;
     rules.read.depth = DepthGrid::same_place;
-    if (has_depth)
+    if (!views.front().depth.empty())
       rules.read.depth_camera.camera = read_camera("intrinsic_depth.txt", views, &FrameFiles::depth, diagnostics);
     check_extrinsics(diagnostics);
     rules.read.labels_of_any_size = true;
@@ -128,11 +126,9 @@ class Scannet {
     SceneInfo info = files_.open(std::move(views), std::move(rules), diagnostics);
     const auto unlabelled =
         std::count_if(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return !f.has_labels; });
-    if (has_labels && unlabelled > 0) {
-      diagnostics.note(
-          "labels.frames.missing", (root / params_.label_dir).string(),
-          std::to_string(unlabelled) + " of " + std::to_string(info.frames.size()) + " frames have no label image");
-    }
+    if (has_labels && unlabelled > 0)
+      diagnostics.note("labels.frames.missing", (root / params_.label_dir).string(),
+                       fmt::format("{} of {} frames have no label image", unlabelled, info.frames.size()));
     return info;
   }
 
@@ -151,20 +147,19 @@ class Scannet {
       if (!files_.check().present(frame, "pose", pose, diagnostics)) continue;
       const auto matrix = read_matrix(pose, frame_place(frame), diagnostics);
       if (!matrix) continue;
-      if (std::all_of(matrix->begin(), matrix->end(), [](double v) { return std::isfinite(v); })) {
-        if (!check_last_row(*matrix, frame_place(frame), diagnostics)) continue;
+      if (!std::all_of(matrix->begin(), matrix->end(), [](double v) { return std::isfinite(v); })) {
+        skipped.push_back(stem);
+      } else if (check_last_row(*matrix, frame_place(frame), diagnostics)) {
         out.emplace_back().color = path;
         out.back().matrix = *matrix;
-      } else {
-        skipped.push_back(stem);
       }
     }
     report_skipped(skipped, out.size(), (root / "pose").string(), diagnostics);
     if (params_.max_frames > 0 && out.size() > static_cast<std::size_t>(params_.max_frames)) {
       const auto taken = static_cast<std::size_t>(params_.max_frames);
-      diagnostics.note("scene.frames.taken", root_,
-                       std::to_string(taken) + " of " + std::to_string(out.size()) +
-                           " frames with a pose are taken, evenly spaced (scene.max_frames)");
+      diagnostics.note(
+          "scene.frames.taken", root_,
+          fmt::format("{} of {} frames with a pose are taken, evenly spaced (scene.max_frames)", taken, out.size()));
       for (std::size_t k = 0; k < taken; ++k) out[k] = PosedPhotograph(out[k * out.size() / taken]);
       out.resize(taken);
     }
@@ -176,16 +171,7 @@ class Scannet {
                      std::string FrameFiles::*images, Diagnostics& diagnostics) const {
     const std::string path = (fs::path(root_) / "intrinsic" / file).string();
     Camera camera;
-    for (const PosedPhotograph& view : views) {
-      try {
-        const ImageSize size = image_size(view.*images);
-        camera.width_px = size.width_px;
-        camera.height_px = size.height_px;
-        break;
-      } catch (const Error&) {
-        continue;  // its header is checked with its frame
-      }
-    }
+    set_first_size(camera, views, images);
     if (camera.width_px == 0) return camera;
     const auto m = read_matrix(path, path, diagnostics);
     if (!m) return camera;
@@ -194,17 +180,13 @@ class Scannet {
                         "write rows 'fx 0 cx 0', '0 fy cy 0', '0 0 1 0', '0 0 0 1'");
       return camera;
     }
-    camera.fx = (*m)[0];
-    camera.fy = (*m)[5];
-    camera.cx = (*m)[2] + 0.5;
-    camera.cy = (*m)[6] + 0.5;
+    camera = {camera.width_px, camera.height_px, (*m)[0], (*m)[5], (*m)[2] + 0.5, (*m)[6] + 0.5};
     if (!check_principal_point(camera, path, diagnostics) || !check_camera(camera, path, diagnostics)) return camera;
-    if (std::abs(camera.cx / camera.width_px - 0.5) > 0.2 || std::abs(camera.cy / camera.height_px - 0.5) > 0.2) {
+    if (std::abs(camera.cx / camera.width_px - 0.5) > 0.2 || std::abs(camera.cy / camera.height_px - 0.5) > 0.2)
       diagnostics.warning("scene.camera.center", path,
-                          "its principal point is far from the middle of images of " + std::to_string(camera.width_px) +
-                              " x " + std::to_string(camera.height_px) + " pixels",
+                          "its principal point is far from the middle of images of " +
+                              size_text(camera.width_px, camera.height_px) + " pixels",
                           "if the images were made smaller on export, scale the intrinsics with them");
-    }
     return camera;
   }
 
@@ -216,40 +198,35 @@ class Scannet {
       if (!m) continue;
       double off = 0;
       for (std::size_t i = 0; i < 16; ++i) off = std::max(off, std::abs((*m)[i] - (i % 5 == 0 ? 1.0 : 0.0)));
-      if (!(off < 1e-4)) {
+      if (!(off < 1e-4))
         diagnostics.warning("scene.scannet.shifted", path,
                             "is not the identity; colour and depth are taken to be seen from the same pose",
                             "expect depth and colour to be shifted against each other");
-      }
     }
   }
 
   void load_classes(PhotographRules& rules, Diagnostics& diagnostics) const {
     const fs::path root = fs::weakly_canonical(root_);
     std::string path = files_.class_file();
-    for (const fs::path& folder : {root, root.parent_path()}) {
+    for (const fs::path& folder : {root, root.parent_path()})
       if (path.empty() && fs::exists(folder / kTableName)) path = (folder / kTableName).string();
-    }
-    if (path.empty()) {
+    if (path.empty())
       return diagnostics.error("labels.classes.none", root_,
-                               std::string("labels without ") + kTableName + " in the scene's folder or above it",
+                               fmt::format("labels without {} in the scene's folder or above it", kTableName),
                                "copy the file there, or set scene.classes");
-    }
     try {
       rules.classes = load_scannet_classes(path, params_.class_ids);
-      if (rules.classes->valid_count() == 0) {
-        const auto choice = static_cast<std::size_t>(params_.class_ids);
+      const auto choice = static_cast<std::size_t>(params_.class_ids);
+      if (rules.classes->valid_count() == 0)
         return diagnostics.error("classes.tsv.damaged", path,
-                                 "has no ids of '" + std::string(ChoiceNames<ScannetIds>::names[choice]) + "' classes",
+                                 fmt::format("has no ids of '{}' classes", ChoiceNames<ScannetIds>::names[choice]),
                                  "choose other class_ids, or restore the table as ScanNet distributes it");
-      }
       std::vector<std::int16_t>& class_of_raw = rules.read.class_of_raw;
       class_of_raw.assign(kRawIds, kUnknown);
       class_of_raw[0] = kVoid;
-      for (const ScannetLabel& label : read_scannet_tsv(path)) {
+      for (const ScannetLabel& label : read_scannet_tsv(path))
         class_of_raw[static_cast<std::size_t>(label.id)] =
             static_cast<std::int16_t>(rules.classes->index_of(label.id_in(params_.class_ids)));
-      }
     } catch (const Error& e) {
       diagnostics.error(e.code(), "", e.message(), e.remedy());
     }

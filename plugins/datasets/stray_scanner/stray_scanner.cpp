@@ -1,8 +1,8 @@
 // Recordings of Stray Scanner from a phone with LiDAR: odometry.csv, camera_matrix.csv, rgb/, depth/, confidence/.
-#include <algorithm>
+#include <fmt/format.h>
+
 #include <cmath>
 #include <filesystem>
-#include <limits>
 #include <map>
 
 #include "core/text.h"
@@ -22,42 +22,39 @@ struct StrayScannerParams : PhotographParams {};
 
 namespace {
 
-constexpr const char* kAgain = "export the recording again";
+[[noreturn]] void refuse(Code code, const std::string& what, const char* remedy = "export the recording again") {
+  throw Error(ErrorKind::data, code, what, remedy);
+}
 
 // Columns by the names in the first row, for versions of the app write different ones.
 class Odometry {
  public:
-  explicit Odometry(const std::string& path) : rows_(read_text_rows(path, ',')), path_(path) {
-    if (rows_.size() < 2) throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no poses", kAgain);
+  explicit Odometry(const std::string& path) : rows_(read_text_rows(path, ',')) {
+    if (rows_.size() < 2) refuse("scene.index.format", "'" + path + "' has no poses");
     for (std::size_t i = 0; i < rows_[0].fields.size(); ++i) {
-      const auto [other, fresh] = column_.emplace(rows_[0].fields[i], i);
-      if (!fresh && !other->first.empty())
-        throw Error(ErrorKind::data, "scene.index.twice",
-                    rows_[0].place + ": has the column '" + other->first + "' twice", kAgain);
+      const std::string& name = rows_[0].fields[i];
+      if (!column_.emplace(name, i).second && !name.empty())
+        refuse("scene.index.twice", rows_[0].place + ": has the column '" + name + "' twice");
     }
     for (const char* name : {"x", "y", "z", "qx", "qy", "qz", "qw"})
-      if (!has(name))
-        throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no column '" + name + "'", kAgain);
+      if (!has(name)) refuse("scene.index.format", "'" + path + "' has no column '" + name + "'");
   }
   bool has(const char* name) const { return column_.count(name) > 0; }
   // The row of each frame by its number, which is its place where no column tells it.
   std::map<std::int64_t, const TextRow*> by_frame() const {
     std::map<std::int64_t, const TextRow*> out;
     for (std::size_t i = 1; i < rows_.size(); ++i) {
-      if (rows_[i].fields.size() > rows_[0].fields.size())
-        throw Error(ErrorKind::data, "scene.index.format",
-                    rows_[i].place + ": has " + std::to_string(rows_[i].fields.size()) + " columns, the first row " +
-                        std::to_string(rows_[0].fields.size()),
-                    kAgain);
-      const double number = has("frame") ? value(rows_[i], "frame") : static_cast<double>(i - 1);
+      const TextRow& row = rows_[i];
+      if (row.fields.size() > rows_[0].fields.size())
+        refuse("scene.index.format", fmt::format("{}: has {} columns, the first row {}", row.place, row.fields.size(),
+                                                 rows_[0].fields.size()));
+      const double number = has("frame") ? value(row, "frame") : static_cast<double>(i - 1);
       if (!(number >= 0 && number <= 1e9 && number == std::floor(number)))
-        throw Error(ErrorKind::data, "scene.index.value", rows_[i].place + ": 'frame' is not the number of a frame",
-                    kAgain);
-      const auto [other, fresh] = out.emplace(static_cast<std::int64_t>(number), &rows_[i]);
-      if (!fresh)
-        throw Error(ErrorKind::data, "scene.index.twice",
-                    rows_[i].place + ": is of frame " + std::to_string(other->first) + ", as " + other->second->place,
-                    "keep one of the two lines");
+        refuse("scene.index.value", row.place + ": 'frame' is not the number of a frame");
+      if (const auto [other, fresh] = out.emplace(static_cast<std::int64_t>(number), &row); !fresh)
+        refuse("scene.index.twice",
+               fmt::format("{}: is of frame {}, as {}", row.place, other->first, other->second->place),
+               "keep one of the two lines");
     }
     return out;
   }
@@ -65,12 +62,11 @@ class Odometry {
     const std::size_t i = column_.at(name);
     double number = 0;
     if (i < row.fields.size() && parse_number(row.fields[i], number)) return number;
-    throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + name + "' is not a number", kAgain);
+    refuse("scene.index.value", row.place + ": '" + name + "' is not a number");
   }
 
  private:
   std::vector<TextRow> rows_;
-  std::string path_;
   std::map<std::string, std::size_t> column_;
 };
 
@@ -81,14 +77,8 @@ Camera read_matrix(const std::string& path) {
   for (std::size_t i = 0; sound && i < 9; ++i)
     sound = rows[i / 3].fields.size() == 3 && parse_number(rows[i / 3].fields[i % 3], k[i]);
   if (!sound || k[1] != 0 || k[3] != 0 || k[6] != 0 || k[7] != 0 || k[8] != 1)
-    throw Error(ErrorKind::data, "scene.camera.format", "'" + path + "' is not a pinhole camera's matrix of three rows",
-                kAgain);
-  Camera camera;
-  camera.fx = k[0];
-  camera.fy = k[4];
-  camera.cx = k[2];
-  camera.cy = k[5];
-  return camera;
+    refuse("scene.camera.format", "'" + path + "' is not a pinhole camera's matrix of three rows");
+  return {.fx = k[0], .fy = k[4], .cx = k[2], .cy = k[5]};
 }
 
 }  // namespace
@@ -111,7 +101,7 @@ SceneInfo find_photographs(const StrayScannerParams&, PosedPhotographs& files, D
   const Odometry odometry((root / "odometry.csv").string());
   const Camera matrix = read_matrix((root / "camera_matrix.csv").string());
   const auto poses = odometry.by_frame();
-  const bool has_depth = fs::is_directory(root / "depth"), of_frame = odometry.has("fx") && odometry.has("cx");
+  const bool of_frame = odometry.has("fx") && odometry.has("cx");
   std::vector<PosedPhotograph> photos;
   for (const auto& [number, image] : images) {
     const auto found = poses.find(number);
@@ -134,15 +124,12 @@ SceneInfo find_photographs(const StrayScannerParams&, PosedPhotographs& files, D
     photo.camera.height_px = size.height_px;
     set_rotation(photo.world_from_camera, {at("qw"), at("qx"), at("qy"), at("qz")});
     photo.world_from_camera.t = {at("x"), at("y"), at("z")};
-    const std::string name =
-        std::string(number < 100'000 ? 6 - std::to_string(number).size() : 0, '0') + std::to_string(number) + ".png";
-    if (has_depth) photo.depth = (root / "depth" / name).string();
+    const std::string name = fmt::format("{:06}.png", number);
+    photo.depth = in_folder(root / "depth", name);
     photo.confidence = (root / "confidence" / name).string();
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files.open(std::move(photos), {}, diagnostics);
-  info.tracked = true;
-  return info;
+  return files.open(std::move(photos), {.tracked = true}, diagnostics);
 }
 
 SEMFIELD_PLUGIN_MODULE(stray_scanner, "1.0", [](Registry& registry) {

@@ -1,4 +1,6 @@
 // transforms.json scenes of nerfstudio, instant-ngp and Blender.
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -71,6 +73,9 @@ constexpr std::pair<const char*, double Camera::*> kDistortion[] = {{"k1", &Came
                                                                     {"k3", &Camera::k3}, {"k4", &Camera::k4},
                                                                     {"p1", &Camera::p1}, {"p2", &Camera::p2}};
 
+constexpr const char* kUndistort =
+    "undistort the images to a pinhole camera, for example with colmap image_undistorter";
+
 /// The value of a key; nullptr where there is none or it is null.
 const json* given(const json& node, const char* key) {
   const auto found = node.find(key);
@@ -95,7 +100,7 @@ class TransformsValues {
   std::optional<double> number(const json& node, const char* key, const std::string& place) {
     const json* value = given(node, key);
     if (value == nullptr) return std::nullopt;
-    if (!value->is_number()) return refuse(place, std::string("'") + key + "' is not a number", "write a number");
+    if (!value->is_number()) return refuse(place, fmt::format("'{}' is not a number", key), "write a number");
     return value->get<double>();
   }
 
@@ -105,11 +110,9 @@ class TransformsValues {
     const json& value = node[key];
     if (value.is_boolean()) return value.get<bool>();
     for (const auto& [means, as_written] :
-         {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
+         {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}})
       if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
-    }
-    return refuse(place, std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
-                  "write true or false");
+    return refuse(place, fmt::format("'{}' is {}, neither true nor false", key, value.dump()), "write true or false");
   }
 
   // The lens of a file or of one of its frames, which may leave it to the file; nothing when reported.
@@ -131,12 +134,11 @@ class TransformsValues {
         {"RADIAL", LensKind::perspective},         {"PERSPECTIVE", LensKind::perspective},
         {"OPENCV_FISHEYE", LensKind::fisheye},     {"EQUIRECTANGULAR", LensKind::equirectangular}};
     if (const auto found = known.find(model); found != known.end()) return found->second;
-    diagnostics_.error(
-        "scene.camera.model", place,
-        "camera model '" + model +
-            "' is not supported (only OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, "
-            "EQUIRECTANGULAR)",
-        "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+    diagnostics_.error("scene.camera.model", place,
+                       "camera model '" + model +
+                           "' is not supported (only OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, "
+                           "OPENCV_FISHEYE, EQUIRECTANGULAR)",
+                       kUndistort);
     return std::nullopt;
   }
 
@@ -146,16 +148,18 @@ class TransformsValues {
     if (!kind) return std::nullopt;
     TransformsLens out = base;
     out.told.lens = *kind;
-    const std::pair<const char*, double*> fields[] = {{"w", &out.w},
-                                                      {"h", &out.h},
-                                                      {"fl_x", &out.told.fx},
-                                                      {"fl_y", &out.told.fy},
-                                                      {"camera_angle_x", &out.camera_angle_x},
-                                                      {"camera_angle_y", &out.camera_angle_y}};
-    for (const auto& [key, field] : fields) *field = number(node, key, place).value_or(*field);
-    for (const auto& [key, field] : kDistortion) out.told.*field = number(node, key, place).value_or(out.told.*field);
-    if (const auto value = number(node, "cx", place)) out.cx = value;
-    if (const auto value = number(node, "cy", place)) out.cy = value;
+    const auto take = [&](const char* key, auto& into) {
+      if (const std::optional<double> value = number(node, key, place)) into = *value;
+    };
+    take("w", out.w);
+    take("h", out.h);
+    take("fl_x", out.told.fx);
+    take("fl_y", out.told.fy);
+    take("camera_angle_x", out.camera_angle_x);
+    take("camera_angle_y", out.camera_angle_y);
+    for (const auto& [key, field] : kDistortion) take(key, out.told.*field);
+    take("cx", out.cx);
+    take("cy", out.cy);
     read_distortion(node, out, place);
     read_camera_matrix(node, out, place);
     return out;
@@ -173,11 +177,10 @@ class TransformsValues {
       const std::optional<double> value = number(node, key, place);
       if (!value || *value == 0) continue;
       if (!(*value >= 1e-9 && *value <= 1e6)) {
-        refuse(place, std::string(key) + " must be positive, from 1e-9 to 1e6",
+        refuse(place, fmt::format("{} must be positive, from 1e-9 to 1e6", key),
                "write the metres of one step, such as 0.001");
       } else if (from != nullptr && *value != unit) {
-        refuse(place, std::string("'") + key + "' is not what '" + from + "' says of the unit of depth",
-               "keep one of the two");
+        refuse(place, fmt::format("'{}' is not what '{}' says of the unit of depth", key, from), "keep one of the two");
       } else {
         from = key;
         unit = *value;
@@ -192,7 +195,7 @@ class TransformsValues {
   // Whether a single key is left out or says what `whole`, which has its value too, says; reports it otherwise.
   bool agrees(const json& node, const char* key, double value, const char* whole, const std::string& place) {
     if (!node.contains(key) || !node[key].is_number() || node[key].get<double>() == value) return true;
-    refuse(place, std::string("'") + key + "' is not what '" + whole + "' has in its place", "keep one of the two");
+    refuse(place, fmt::format("'{}' is not what '{}' has in its place", key, whole), "keep one of the two");
     return false;
   }
 
@@ -247,7 +250,7 @@ class TransformsValues {
       if (!found || k[1] != 0 || k[3] != 0 || k[6] != 0 || k[7] != 0 || k[8] != 1) {
         if (lens.told.fx != 0 || lens.camera_angle_x != 0) continue;  // something else of that name
         diagnostics_.error("scene.camera.format", place,
-                           std::string("'") + key + "' is not the matrix of a pinhole camera without skew",
+                           fmt::format("'{}' is not the matrix of a pinhole camera without skew", key),
                            "write 'fl_x', 'fl_y', 'cx' and 'cy', or [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]");
         return;
       }
@@ -357,8 +360,9 @@ class FileReader {
     if (out_.unclear_depth_key.empty()) out_.unclear_depth_key = values_.unclear_depth_key();
     for (const std::string& name : unread_maps_)
       diagnostics_.note("scene.channel.unread", path_,
-                        "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
-                            "] offers them to heads and losses");
+                        fmt::format("frames name maps of '{}', which nothing reads; scene.channels: [{}] offers "
+                                    "them to heads and losses",
+                                    name, name));
   }
 
  private:
@@ -393,7 +397,7 @@ class FileReader {
       if (names == nullptr) continue;
       if (!names->is_array() ||
           !std::all_of(names->begin(), names->end(), [](const json& n) { return n.is_string(); })) {
-        values_.refuse(path_, std::string("'") + list->key + "' is not a list of names",
+        values_.refuse(path_, fmt::format("'{}' is not a list of names", list->key),
                        "write the 'file_path' of each frame");
         continue;
       }
@@ -412,10 +416,9 @@ class FileReader {
     const bool in_train = lists.train.holds(frame, path), in_test = lists.test.holds(frame, path),
                in_val = lists.val.holds(frame, path);
     const bool tests = lists.test.names.empty() ? in_val : in_test;
-    if (in_train && tests) {
+    if (in_train && tests)
       diagnostics_.error("scene.split.overlap", frame.entry, "is both in train_filenames and among the frames held out",
                          "keep it in one of the two lists");
-    }
     if (tests) return Split::test;
     return in_train || (lists.train.names.empty() && !in_val) ? Split::train : Split::unused;
   }
@@ -426,10 +429,9 @@ class FileReader {
       for (const auto& [path, name] : list->names)
         if (!name.second) unmatched.push_back(name.first);
       if (unmatched.empty()) continue;
-      const auto least = std::min_element(unmatched.begin(), unmatched.end());
       diagnostics_.error("scene.split.unknown", path_,
-                         std::to_string(unmatched.size()) + " of " + std::to_string(list->names.size()) +
-                             " names of '" + list->key + "' are no frame's, such as '" + *least + "'",
+                         fmt::format("{} of {} names of '{}' are no frame's, such as '{}'", unmatched.size(),
+                                     list->names.size(), list->key, *std::ranges::min_element(unmatched)),
                          "write each as the 'file_path' of its frame");
     }
   }
@@ -467,15 +469,11 @@ class FileReader {
       return;
     }
     for (const json& c : classes) {
-      const auto id = c["id"].get<std::int64_t>();
-      ClassEntry entry;
-      entry.id = id < -1 || id > 70000
-                     ? -1
-                     : static_cast<std::int32_t>(id);  // out of range stays out of range: the table refuses it
-      entry.name = c["name"].get<std::string>();
-      entry.ignore = c.value("ignore", false);
-      entry.color = ClassTable::default_color(std::max(entry.id, 0));
-      out_.class_list.push_back(std::move(entry));
+      const auto number = c["id"].get<std::int64_t>();
+      // Out of range stays out of range: the table refuses it.
+      const auto id = static_cast<std::int32_t>(number < -1 || number > 70000 ? -1 : number);
+      out_.class_list.push_back(
+          {id, c["name"].get<std::string>(), ClassTable::default_color(std::max(id, 0)), c.value("ignore", false)});
     }
   }
 
@@ -503,9 +501,9 @@ class FileReader {
     };
     frame.name = path_of("file_path");
     const bool keys_are_read = check_keys(item, true, frame.entry + " (" + frame.name + ")");
-    if (frame.name.empty() && !keys_are_read) return frame;
     if (frame.name.empty()) {
-      diagnostics_.error("scene.index.format", frame.entry, "has no 'file_path'", "name the image of the frame");
+      if (keys_are_read)
+        diagnostics_.error("scene.index.format", frame.entry, "has no 'file_path'", "name the image of the frame");
       return frame;
     }
     frame.entry += " (" + frame.name + ")";
@@ -551,8 +549,8 @@ class FileReader {
       const json& value = node[key];
       const auto is_zero = [](const json& v) { return v.is_null() || (v.is_number() && v.get<double>() == 0); };
       if (value.is_array() ? std::all_of(value.begin(), value.end(), is_zero) : is_zero(value)) continue;
-      diagnostics_.error("scene.camera.model", place, std::string("'") + key + "' is not 0: such cameras are not read",
-                         "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+      diagnostics_.error("scene.camera.model", place, fmt::format("'{}' is not 0: such cameras are not read", key),
+                         kUndistort);
     }
     return diagnostics_.error_count() == before;
   }
@@ -566,10 +564,9 @@ class FileReader {
 
   // Poses as exporters of trackers write them.
   static std::string quaternion_in(const json& item) {
-    for (const auto& [key, value] : item.items()) {
+    for (const auto& [key, value] : item.items())
       if (are_numbers(value) && (value.size() == 4 || value.size() == 7 || value.size() == 8))
         return "; '" + key + "' looks like a quaternion, which is not read";
-    }
     return "";
   }
 
@@ -683,9 +680,8 @@ std::string recognise(const std::string& path, TransformsJsonParams& p) {
     if (name == "transforms.json" || name == "transforms_train.json") p.root = file.parent_path().string();
     return name;
   }
-  for (const char* name : {"transforms.json", "transforms_train.json"}) {
+  for (const char* name : {"transforms.json", "transforms_train.json"})
     if (is_file(file / name)) return name;
-  }
   return "";
 }
 
@@ -790,20 +786,19 @@ std::vector<TransformsFrame*> used_frames(TransformsIndex& index, const std::str
     unused += in.split == Split::unused ? 1 : 0;
     if (in.matrix.empty() || in.split == Split::unused) continue;
     const auto [other, fresh] = seen.emplace(fs::path(in.color).lexically_normal().string(), &in);
-    if (!fresh) {
-      const bool both = other->second->split != in.split;
-      diagnostics.error("scene.frame.twice", in.entry,
-                        both ? "image is listed for training and for tests" : "image is listed twice",
-                        "keep one of the two frames");
+    if (fresh) {
+      used.push_back(&in);
       continue;
     }
-    used.push_back(&in);
+    const bool both = other->second->split != in.split;
+    diagnostics.error("scene.frame.twice", in.entry,
+                      both ? "image is listed for training and for tests" : "image is listed twice",
+                      "keep one of the two frames");
   }
-  if (unused > 0) {
-    diagnostics.note("scene.frames.unused", root,
-                     std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
-                         " frames are in neither split, as the index says");
-  }
+  if (unused > 0)
+    diagnostics.note(
+        "scene.frames.unused", root,
+        fmt::format("{} of {} frames are in neither split, as the index says", unused, index.frames.size()));
   return used;
 }
 
@@ -826,12 +821,11 @@ void choose_splits(const std::vector<TransformsFrame*>& frames, std::int32_t tes
     in->split = HoldOut{test_every}.split_of(static_cast<std::size_t>(rank), order.size());
     held_out += in->split == Split::test ? 1 : 0;
   }
-  if (told && held_out > 0) {
+  if (told && held_out > 0)
     diagnostics.note("scene.split.made", root,
-                     "the index names no test frame: " + std::to_string(held_out) + " of " +
-                         std::to_string(frames.size()) + " are held out, one in " + std::to_string(test_every) +
-                         " (scene.test_every; 0 = none)");
-  }
+                     fmt::format("the index names no test frame: {} of {} are held out, one in {} (scene.test_every; "
+                                 "0 = none)",
+                                 held_out, frames.size(), test_every));
 }
 
 }  // namespace
@@ -841,16 +835,14 @@ SceneInfo find_photographs(const TransformsJsonParams& params, PosedPhotographs&
   TransformsIndex index = read_transforms(root, params, diagnostics);
   const std::vector<TransformsFrame*> used = used_frames(index, root, diagnostics);
   choose_splits(used, params.test_every, root, diagnostics);
-  PhotographRules rules;
-  rules.read = FrameReadRules();
-  rules.read.labels_key = "label_key";
-  rules.read.alpha_background = params.alpha_background;
-  rules.read.alpha_masks = params.alpha_masks;
-  rules.opengl_files = true;
-  rules.depth_unit_m = params.depth_unit_m;
-  rules.labels_by_name = false;
-  rules.class_file = index.classes;
-  rules.class_list = index.class_list;
+  PhotographRules rules{.read = {.labels_key = "label_key",
+                                 .alpha_background = params.alpha_background,
+                                 .alpha_masks = params.alpha_masks},
+                        .opengl_files = true,
+                        .depth_unit_m = params.depth_unit_m,
+                        .labels_by_name = false,
+                        .class_file = index.classes,
+                        .class_list = index.class_list};
   read_depth_camera(index, root, rules.read, diagnostics);
   std::vector<PosedPhotograph> photos;
   for (const TransformsFrame* in : used) {
@@ -875,9 +867,9 @@ SceneInfo find_photographs(const TransformsJsonParams& params, PosedPhotographs&
                       "write \"depth_unit_m\" with the metres of a step, or set scene.depth_unit_m");
   if (real_depth > 0)
     diagnostics.note("scene.depth.real", root,
-                     std::to_string(real_depth) +
-                         " depth files hold real numbers, which are taken as they are: the unit that the index states "
-                         "is of integers");
+                     fmt::format("{} depth files hold real numbers, which are taken as they are: the unit that the "
+                                 "index states is of integers",
+                                 real_depth));
   info.metric = params.metric || index.metric || has_depth;
   return info;
 }

@@ -1,6 +1,9 @@
 // Recordings in the layout of the TUM RGB-D benchmark [Sturm12]: rgb.txt, depth.txt and groundtruth.txt with times, and
 // the images that they name.
+#include <fmt/format.h>
+
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <iterator>
@@ -28,7 +31,9 @@ struct TumParams : PhotographParams {
 
 namespace {
 
-constexpr const char* kRecordAgain = "export the recording again";
+[[noreturn]] void refuse(Code code, const std::string& what, const char* remedy = "export the recording again") {
+  throw Error(ErrorKind::data, code, what, remedy);
+}
 
 // A line of a list: its time, and what follows.
 struct TimedRow {
@@ -45,23 +50,20 @@ std::vector<TimedRow> read_list(const std::string& path, std::size_t words) {
     for (const std::string& field : row.fields)
       if (!field.empty()) timed.words.push_back(field);
     if (timed.words.size() != words + 1)
-      throw Error(ErrorKind::data, "scene.index.format",
-                  row.place + ": " + std::to_string(timed.words.size()) + " words; a line has a time and " +
-                      std::to_string(words),
-                  kRecordAgain);
+      refuse("scene.index.format",
+             fmt::format("{}: {} words; a line has a time and {}", row.place, timed.words.size(), words));
     if (!parse_real(timed.words[0], timed.time_s))
-      throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + timed.words[0] + "' is not a time",
-                  kRecordAgain);
+      refuse("scene.index.value", row.place + ": '" + timed.words[0] + "' is not a time");
     timed.words.erase(timed.words.begin());
     rows.push_back(std::move(timed));
   }
-  if (rows.empty()) throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no lines", kRecordAgain);
+  if (rows.empty()) refuse("scene.index.format", "'" + path + "' has no lines");
   std::stable_sort(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s < b.time_s; });
   const auto twice =
       std::adjacent_find(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s == b.time_s; });
   if (twice != rows.end())
-    throw Error(ErrorKind::data, "scene.index.twice", std::next(twice)->place + ": has the time of " + twice->place,
-                "keep one of the two lines");
+    refuse("scene.index.twice", std::next(twice)->place + ": has the time of " + twice->place,
+           "keep one of the two lines");
   return rows;
 }
 
@@ -81,8 +83,7 @@ TimedPose pose_in(const TimedRow& row) {
   std::array<double, 7> n{};
   for (std::size_t i = 0; i < n.size(); ++i)
     if (!parse_number(row.words[i], n[i]))
-      throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + row.words[i] + "' is not a number",
-                  kRecordAgain);
+      refuse("scene.index.value", row.place + ": '" + row.words[i] + "' is not a number");
   return {{n[0], n[1], n[2]}, {n[6], n[3], n[4], n[5]}};
 }
 
@@ -155,7 +156,7 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
   std::vector<PosedPhotograph> photos;
   std::size_t without_pose = 0;
   FileNames names;
-  std::map<std::string, const TimedRow*> lines;  // by image
+  std::map<std::string, std::string> lines;  // by image
   for (const TimedRow& image : images) {
     const std::optional<Pose> pose = pose_at(poses, image.time_s, params.within_s);
     if (!pose) {
@@ -164,33 +165,19 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
     }
     PosedPhotograph photo;
     photo.color = names.of((root / image.words[0]).string());
-    const auto [other, fresh] = lines.emplace(fs::path(photo.color).lexically_normal().string(), &image);
+    const auto [other, fresh] = lines.emplace(fs::path(photo.color).lexically_normal().string(), image.place);
     if (!fresh) {
-      diagnostics.error("scene.frame.twice", image.place, "is the image of " + other->second->place,
+      diagnostics.error("scene.frame.twice", image.place, "is the image of " + other->second,
                         "keep one of the two lines");
       continue;
     }
     photo.world_from_camera = *pose;
     photo.depth_unit_m = 1 / params.depth_steps;
-    Camera& c = photo.camera;
-    c.width_px = 640;  // what the benchmark's lenses are of
-    c.height_px = 480;
-    if (!params.lens.empty() && is_there(photo.color)) {
-      const ImageSize size = image_size(photo.color);
-      c.width_px = size.width_px;
-      c.height_px = size.height_px;
-    }
-    c.fx = lens[0];
-    c.fy = lens[1];
-    c.cx = lens[2] + 0.5;
-    c.cy = lens[3] + 0.5;
-    if (lens.size() == 9) {
-      c.k1 = lens[4];
-      c.k2 = lens[5];
-      c.p1 = lens[6];
-      c.p2 = lens[7];
-      c.k3 = lens[8];
-    }
+    ImageSize size{640, 480};  // what the benchmark's lenses are of
+    if (!params.lens.empty() && is_there(photo.color)) size = image_size(photo.color);
+    photo.camera = {size.width_px, size.height_px, lens[0], lens[1], lens[2] + 0.5, lens[3] + 0.5};
+    constexpr double Camera::*kBend[] = {&Camera::k1, &Camera::k2, &Camera::p1, &Camera::p2, &Camera::k3};
+    for (std::size_t i = 4; i < lens.size(); ++i) photo.camera.*kBend[i - 4] = lens[i];
     // The nearest in time, and of two the earlier.
     const std::size_t after = row_from(depths, image.time_s);
     const auto gap = [&](std::size_t i) { return std::abs(depths[i].time_s - image.time_s); };
@@ -201,15 +188,14 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
     if (nearest < depths.size()) photo.depth = names.of((root / depths[nearest].words[0]).string());
     photos.push_back(std::move(photo));
   }
-  const std::string within_text = std::to_string(std::lround(1000 * params.within_s));
+  const long within_ms = std::lround(1000 * params.within_s);
   if (photos.empty())
-    throw Error(ErrorKind::data, "scene.pose.count",
-                "'" + root.string() + "': no image has a pose within " + within_text + " ms",
-                "check that rgb.txt and groundtruth.txt are of one recording, or raise scene.within_s");
+    refuse("scene.pose.count", fmt::format("'{}': no image has a pose within {} ms", root.string(), within_ms),
+           "check that rgb.txt and groundtruth.txt are of one recording, or raise scene.within_s");
   if (without_pose > 0)
     diagnostics.note("scene.pose.count", "'" + (root / "groundtruth.txt").string() + "'",
-                     std::to_string(without_pose) + " of " + std::to_string(images.size()) +
-                         " images have no pose within " + within_text + " ms and are left out");
+                     fmt::format("{} of {} images have no pose within {} ms and are left out", without_pose,
+                                 images.size(), within_ms));
   return files.open(std::move(photos), {}, diagnostics);
 }
 
