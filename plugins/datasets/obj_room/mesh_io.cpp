@@ -10,6 +10,8 @@
 #include <tiny_obj_loader.h>
 #endif
 
+#include <fmt/format.h>
+
 #include <charconv>
 #include <filesystem>
 #include <set>
@@ -17,6 +19,7 @@
 #include <string_view>
 
 #include "core/joined_sets.h"
+#include "core/text.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "system/files.h"
@@ -77,9 +80,7 @@ std::string wrong_indices(std::string_view rest) {
       std::string_view number = left.substr(0, left.find('/'));
       left.remove_prefix(number.size());
       if (number.size() > 1 && number.front() == '+') number.remove_prefix(1);
-      int value = 0;
-      const auto [end, code] = std::from_chars(number.data(), number.data() + number.size(), value);
-      good = part < 3 && (number.empty() ? part > 0 : code == std::errc{} && end == number.data() + number.size());
+      good = part < 3 && (number.empty() ? part > 0 : to_number<int>(number).has_value());
       if (left.empty()) break;
       left.remove_prefix(1);
     }
@@ -139,11 +140,8 @@ std::string resolved_map(const fs::path& folder, const std::string& name, const 
 std::vector<std::string> material_names(const fs::path& folder, const std::string& line) {
   const auto is_there = [&](const std::string& name) { return is_file(FileNames().of((folder / name).string())); };
   if (is_there(line)) return {line};
-  std::istringstream stream(line);
-  std::vector<std::string> words;
-  for (std::string word; stream >> word;) words.push_back(word);
-  const bool any = std::any_of(words.begin(), words.end(), is_there);
-  return any ? words : std::vector<std::string>{line};
+  const std::vector<std::string> words = word_list(line);
+  return std::any_of(words.begin(), words.end(), is_there) ? words : std::vector<std::string>{line};
 }
 
 // Names of an MTL file's materials in their order: some versions of the loader cut them at the first blank.
@@ -176,19 +174,15 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
   for (std::size_t i = 0; i < found.size() && found.size() == names.size(); ++i) found[i].name = names[i];
   for (const tinyobj::material_t& m : found) {
     if (m.name.empty() || index.count(m.name) != 0) continue;
-    Material material;
-    material.name = m.name;
-    for (std::size_t c = 0; c < 3; ++c) {
-      material.diffuse[c] = static_cast<float>(m.diffuse[c]);
-      material.emission[c] = static_cast<float>(m.emission[c]);
-    }
-    material.opacity = static_cast<float>(m.dissolve);
-    material.diffuse_map =
-        resolved_map(file.parent_path(), m.diffuse_texname, file.string() + ": " + m.name, diagnostics);
-    material.opacity_map =
-        resolved_map(file.parent_path(), m.alpha_texname, file.string() + ": " + m.name, diagnostics);
+    const auto map_of = [&](const std::string& texture) {
+      return resolved_map(file.parent_path(), texture, file.string() + ": " + m.name, diagnostics);
+    };
+    const auto color_of = [](const tinyobj::real_t* rgb) {
+      return std::array{static_cast<float>(rgb[0]), static_cast<float>(rgb[1]), static_cast<float>(rgb[2])};
+    };
     index[m.name] = static_cast<int>(mesh.materials.size());
-    mesh.materials.push_back(std::move(material));
+    mesh.materials.push_back({m.name, color_of(m.diffuse), color_of(m.emission), static_cast<float>(m.dissolve),
+                              map_of(m.diffuse_texname), map_of(m.alpha_texname)});
   }
 }
 
@@ -221,9 +215,7 @@ struct Builder {
     if (raw == 0) return -1;
     const std::int64_t n = static_cast<std::int64_t>(count);
     const std::int64_t i = raw > 0 ? raw - 1 : n + raw;
-    if (i < 0 || i >= n) {
-      fail("face names " + std::string(what) + " " + std::to_string(raw) + " of " + std::to_string(count));
-    }
+    if (i < 0 || i >= n) fail(fmt::format("face names {} {} of {}", what, raw, count));
     return i;
   }
 
@@ -258,19 +250,16 @@ struct Builder {
       if (c[1] >= 0) uv[k] = uvs[static_cast<std::size_t>(c[1])];
       if (c[2] >= 0) normal[k] = normals[static_cast<std::size_t>(c[2])];
     }
-    const auto position = [&](std::size_t k) {
-      const Vec3f v = mesh.positions[triangle[k]];
-      return Vec3d{v.x, v.y, v.z};
-    };
-    const Vec3d a = position(0), b = position(1), c = position(2);
+    mesh.triangles.push_back(triangle);
+    const std::size_t t = mesh.size() - 1;
+    const Vec3d a = mesh.corner(t, 0), b = mesh.corner(t, 1), c = mesh.corner(t, 2);
     const double longest = std::max({dot(b - a, b - a), dot(c - b, c - b), dot(a - c, a - c)});
     // Relative to the longest side: a sliver of this shape is a line in float32.
-    if (!(length(cross(b - a, c - a)) > 1e-9 * longest)) {
+    if (!(length(mesh.cross_of_sides(t)) > 1e-9 * longest)) {
       ++mesh.zero_area_skipped;
-      return;
+      return mesh.triangles.pop_back();
     }
     for (const Vec3d& p : {a, b, c}) mesh.bounds.include(p);
-    mesh.triangles.push_back(triangle);
     mesh.uv.push_back(uv);
     mesh.normals.push_back(normal);
     mesh.material_of.push_back(material);
@@ -307,9 +296,8 @@ tinyobj::callback_t callbacks() {
     std::string name;
     for (int i = 0; i < count; ++i) name.append(i == 0 ? "" : " ").append(names[i]);
     b.group = Builder::named(b.group_index, b.mesh.groups, name);
-    if (!b.outline.has_objects) {
+    if (!b.outline.has_objects)
       b.object = Builder::named(b.object_index, b.mesh.objects, name.empty() ? "unnamed" : name);
-    }
   };
   c.object_cb = [](void* user, const char* name) {
     Builder& b = self(user);
@@ -327,28 +315,22 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
   const fs::path folder = fs::path(path).parent_path();
   TriangleMesh mesh;
   std::map<std::string, int> material_index;
-  for (const std::string& line : outline.material_files) {
-    for (const std::string& name : material_names(folder, line)) {
+  for (const std::string& line : outline.material_files)
+    for (const std::string& name : material_names(folder, line))
       load_materials(folder, name, mesh, material_index, diagnostics);
-    }
-  }
   Builder builder{path, outline, mesh, material_index, {}, {}, {}, {}, {}};
   std::istringstream stream(outline.bare_groups.empty() ? text : with_blank_groups(text, outline.bare_groups));
   std::string warning, error;
   tinyobj::LoadObjWithCallback(stream, callbacks(), &builder, nullptr, &warning, &error);
   if (!error.empty()) refuse_damaged(path, error);
-  for (const std::string& name : builder.missing_materials) {
+  for (const std::string& name : builder.missing_materials)
     diagnostics.warning("scene.obj.material", path, "material '" + name + "' is not defined",
                         "its surfaces get a colour by object; add it to the MTL file");
-  }
-  if (mesh.triangles.empty()) {
+  if (mesh.triangles.empty())
     throw Error(ErrorKind::data, "scene.obj.empty", path + ": holds no triangle",
                 "check that the file was exported completely");
-  }
-  if (mesh.zero_area_skipped > 0) {
-    diagnostics.note("scene.obj.area", path,
-                     "skipped " + std::to_string(mesh.zero_area_skipped) + " faces without area");
-  }
+  if (mesh.zero_area_skipped > 0)
+    diagnostics.note("scene.obj.area", path, fmt::format("skipped {} faces without area", mesh.zero_area_skipped));
   return mesh;
 }
 #else

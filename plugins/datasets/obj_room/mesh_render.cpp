@@ -29,6 +29,13 @@
 
 namespace semfield {
 
+namespace {
+
+Vec3d to_double(Vec3f v) { return {v.x, v.y, v.z}; }
+Vec3f to_float(Vec3d v) { return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)}; }
+
+}  // namespace
+
 // Embree scene (version 3 or 4): one geometry for opaque triangles, one with a filter for cut-outs.
 
 #ifdef SEMFIELD_WITH_RAYCAST
@@ -71,12 +78,10 @@ struct Raycaster::Impl {
       throw Error(ErrorKind::unavailable, "memory.raycast.full", "not enough memory for the ray-casting scene",
                   "use a smaller mesh");
     }
-    for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
-      for (int k = 0; k < 3; ++k) vertices[3 * i + static_cast<std::size_t>(k)] = mesh.positions[i][k];
-    }
-    for (std::size_t i = 0; i < list.size(); ++i) {
-      for (std::size_t k = 0; k < 3; ++k) indices[3 * i + k] = mesh.triangles[static_cast<std::size_t>(list[i])][k];
-    }
+    for (const Vec3f& p : mesh.positions)
+      for (int k = 0; k < 3; ++k) *vertices++ = p[k];
+    for (const std::int64_t triangle : list)
+      indices = std::ranges::copy(mesh.triangles[static_cast<std::size_t>(triangle)], indices).out;
     if (id == 1) {
       rtcSetGeometryUserData(geometry, this);
       rtcSetGeometryIntersectFilterFunction(geometry, filter);
@@ -92,10 +97,9 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
     : impl_(std::make_unique<Impl>(mesh)) {
   // One build thread: the tree, and with it the choice between coincident surfaces, is the same on every machine size.
   impl_->device = rtcNewDevice("threads=1");
-  if (impl_->device == nullptr) {
+  if (impl_->device == nullptr)
     throw Error(ErrorKind::unavailable, "system.embree.failed",
                 "Embree cannot start (error " + std::to_string(rtcGetDeviceError(nullptr)) + ")");
-  }
   impl_->opaque = std::move(opaque);
   impl_->scene = rtcNewScene(impl_->device);
   rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
@@ -107,43 +111,30 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
   impl_->add_geometry(0);
   impl_->add_geometry(1);
   rtcCommitScene(impl_->scene);
-  if (rtcGetDeviceError(impl_->device) != RTC_ERROR_NONE) {
+  if (rtcGetDeviceError(impl_->device) != RTC_ERROR_NONE)
     throw Error(ErrorKind::unavailable, "memory.raycast.full", "Embree cannot build the ray-casting scene",
                 "use a smaller mesh");
-  }
 }
 
 namespace {
 
 RTCRay ray_of(Vec3d origin, Vec3d direction, double max_m) {
-  RTCRay ray{};
-  ray.org_x = static_cast<float>(origin.x);
-  ray.org_y = static_cast<float>(origin.y);
-  ray.org_z = static_cast<float>(origin.z);
-  ray.dir_x = static_cast<float>(direction.x);
-  ray.dir_y = static_cast<float>(direction.y);
-  ray.dir_z = static_cast<float>(direction.z);
-  ray.tfar = static_cast<float>(max_m);
-  ray.mask = ~0u;
-  return ray;
+  const Vec3f o = to_float(origin), d = to_float(direction);
+  // Origin and the least distance, direction and time, the greatest distance, mask, id and flags.
+  return {o.x, o.y, o.z, 0, d.x, d.y, d.z, 0, static_cast<float>(max_m), ~0u, 0, 0};
 }
 
-// Embree 4 has no contexts any more.
+// rtcIntersect1 or rtcOccluded1; Embree 4 has no contexts any more.
+template <class Call, class Ray>
+void cast(const Call& call, RTCScene scene, Ray& ray) {
 #if SEMFIELD_EMBREE == 3
-void intersect(RTCScene scene, RTCRayHit& ray) {
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
-  rtcIntersect1(scene, &context, &ray);
-}
-void occlude(RTCScene scene, RTCRay& ray) {
-  RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
-  rtcOccluded1(scene, &context, &ray);
-}
+  call(scene, &context, &ray);
 #else
-void intersect(RTCScene scene, RTCRayHit& ray) { rtcIntersect1(scene, &ray); }
-void occlude(RTCScene scene, RTCRay& ray) { rtcOccluded1(scene, &ray); }
+  call(scene, &ray, nullptr);
 #endif
+}
 
 }  // namespace
 
@@ -151,7 +142,7 @@ RayHit Raycaster::trace(Vec3d origin, Vec3d direction, double max_m) const {
   RTCRayHit ray{};
   ray.ray = ray_of(origin, direction, max_m);
   ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-  intersect(impl_->scene, ray);
+  cast(rtcIntersect1, impl_->scene, ray);
   RayHit hit;
   if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return hit;
   hit.triangle = impl_->triangle_of[ray.hit.geomID][ray.hit.primID];
@@ -169,7 +160,7 @@ RayHit Raycaster::trace(Vec3d origin, Vec3d direction, double max_m) const {
 
 bool Raycaster::blocked(Vec3d origin, Vec3d direction, double max_m) const {
   RTCRay ray = ray_of(origin, direction, max_m);
-  occlude(impl_->scene, ray);
+  cast(rtcOccluded1, impl_->scene, ray);
   return ray.tfar < 0;
 }
 
@@ -256,9 +247,6 @@ constexpr double kTwoPi = 6.283185307179586;
 constexpr int kLattice = 32;
 constexpr double kNoTextureCell_m = 0.35;
 
-Vec3d to_double(Vec3f v) { return {v.x, v.y, v.z}; }
-Vec3f to_float(Vec3d v) { return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)}; }
-
 double radical_inverse2(std::uint32_t k) {
   k = (k << 16) | (k >> 16);
   k = ((k & 0x00ff00ffu) << 8) | ((k & 0xff00ff00u) >> 8);
@@ -302,47 +290,34 @@ MeshRenderer::MeshRenderer(TriangleMesh mesh, std::vector<std::int16_t> class_of
     : mesh_(std::move(mesh)), class_of_(std::move(class_of)), settings_(std::move(settings)) {
   prepare_materials(diagnostics);
   std::vector<bool> cut_out(mesh_.size());
-  for (std::size_t i = 0; i < mesh_.size(); ++i) {
-    const std::int32_t m = mesh_.material_of[i];
-    if (m < 0) continue;
-    const auto index = static_cast<std::size_t>(m);
-    cut_out[i] = mask_of_[index] >= 0 || mesh_.materials[index].opacity < 0.5f;
-  }
+  for (std::size_t i = 0; i < mesh_.size(); ++i) cut_out[i] = look(i).mask != nullptr || look(i).is_open();
   rays_ = std::make_unique<Raycaster>(mesh_, std::move(cut_out),
                                       [this](std::int64_t t, float b1, float b2) { return opaque(t, b1, b2); });
 }
 
 void MeshRenderer::prepare_materials(Diagnostics& diagnostics) {
-  std::map<std::string, int> known_textures, known_masks;
-  for (const Material& material : mesh_.materials) {
-    const auto load = [&](const std::string& path, auto& list, std::map<std::string, int>& known) {
-      if (path.empty()) return -1;
-      const auto it = known.find(path);
-      if (it != known.end()) return it->second;
-      int index = -1;
-      try {
-        list.push_back(std::decay_t<decltype(list)>::value_type::load(path));
-        index = static_cast<int>(list.size()) - 1;
-      } catch (const Error& error) {
-        diagnostics.warning("scene.obj.texture", path, "texture cannot be read: " + error.message(),
-                            "the plain colour is used");
-      }
-      known[path] = index;
-      return index;
-    };
-    texture_of_.push_back(load(material.diffuse_map, textures_, known_textures));
-    mask_of_.push_back(load(material.opacity_map, masks_, known_masks));
-  }
+  const auto load = [&](const std::string& path, auto& known) {
+    const auto [at, fresh] = known.try_emplace(path);
+    auto& image = at->second;
+    try {
+      if (fresh && !path.empty()) image = std::decay_t<decltype(*image)>::load(path);
+    } catch (const Error& error) {
+      diagnostics.warning("scene.obj.texture", path, "texture cannot be read: " + error.message(),
+                          "the plain colour is used");
+    }
+    return image ? &*image : nullptr;
+  };
+  for (const Material& material : mesh_.materials)
+    looks_.push_back({&material, load(material.diffuse_map, textures_), load(material.opacity_map, masks_)});
   texels_per_m_.assign(mesh_.size(), 0);
   for (std::size_t i = 0; i < mesh_.size(); ++i) {
-    const std::int32_t m = mesh_.material_of[i];
-    if (m < 0 || texture_of_[static_cast<std::size_t>(m)] < 0) continue;
-    const Texture& texture = textures_[static_cast<std::size_t>(texture_of_[static_cast<std::size_t>(m)])];
+    const Texture* const texture = look(i).texture;
+    if (texture == nullptr) continue;
     const auto& uv = mesh_.uv[i];
     const double area_uv =
         std::abs((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[1][1] - uv[0][1]) * (uv[2][0] - uv[0][0]));
     const double area_m = length(mesh_.cross_of_sides(i));
-    texels_per_m_[i] = static_cast<float>(std::sqrt(area_uv * texture.width() * texture.height() / area_m));
+    texels_per_m_[i] = static_cast<float>(std::sqrt(area_uv * texture->width() * texture->height() / area_m));
   }
   const RandomAddress colors{settings_.seed, 0, stream_id("mesh/object_color")};
   for (std::size_t i = 0; i < mesh_.objects.size(); ++i) object_color_.push_back(pastel(colors, i));
@@ -353,15 +328,12 @@ void MeshRenderer::prepare_materials(Diagnostics& diagnostics) {
 
 bool MeshRenderer::opaque(std::int64_t triangle, float b1, float b2) const {
   const auto i = static_cast<std::size_t>(triangle);
-  const std::int32_t m = mesh_.material_of[i];
-  if (m < 0) return true;
-  const auto index = static_cast<std::size_t>(m);
-  if (mesh_.materials[index].opacity < 0.5f) return false;
-  if (mask_of_[index] < 0) return true;
+  if (look(i).is_open()) return false;
+  const Mask* const mask = look(i).mask;
   const auto& uv = mesh_.uv[i];
   const float b0 = 1 - b1 - b2;
-  return masks_[static_cast<std::size_t>(mask_of_[index])].opaque(b0 * uv[0][0] + b1 * uv[1][0] + b2 * uv[2][0],
-                                                                  b0 * uv[0][1] + b1 * uv[1][1] + b2 * uv[2][1]);
+  return mask == nullptr ||
+         mask->opaque(b0 * uv[0][0] + b1 * uv[1][0] + b2 * uv[2][0], b0 * uv[0][1] + b1 * uv[1][1] + b2 * uv[2][1]);
 }
 
 MeshRenderer::Surface MeshRenderer::surface(Vec3d origin, Vec3d direction) const {
@@ -413,27 +385,24 @@ float MeshRenderer::noise(Vec3d p) const {
 
 MeshRenderer::Color MeshRenderer::albedo(const Surface& s, double footprint_m) const {
   const auto i = static_cast<std::size_t>(s.triangle);
-  const std::int32_t m = mesh_.material_of[i];
-  if (m < 0) {
+  const Look& own = look(i);
+  if (own.material == nullptr) {
     // A file without materials still needs something to match between views: blotches in two sizes.
     const Color base = object_color_[static_cast<std::size_t>(s.object)];
     const Vec3d p = s.point * (1 / kNoTextureCell_m);
     const float value = 0.55f + 0.6f * noise(p) + 0.3f * noise(p * 4.0);
     return {base[0] * value, base[1] * value, base[2] * value};
   }
-  const auto index = static_cast<std::size_t>(m);
-  const Material& material = mesh_.materials[index];
-  if (texture_of_[index] < 0) return material.diffuse;
+  if (own.texture == nullptr) return own.material->diffuse;
   const float level = std::log2(std::max(1e-6f, texels_per_m_[i] * static_cast<float>(footprint_m)));
-  return textures_[static_cast<std::size_t>(texture_of_[index])].sample(s.u, s.v, level);
+  return own.texture->sample(s.u, s.v, level);
 }
 
 MeshRenderer::Color MeshRenderer::emission(const Surface& s, const Color& color) const {
-  const std::int32_t m = mesh_.material_of[static_cast<std::size_t>(s.triangle)];
-  if (m < 0) return {};
-  const Material& material = mesh_.materials[static_cast<std::size_t>(m)];
-  if (texture_of_[static_cast<std::size_t>(m)] < 0) return material.emission;
-  return {material.emission[0] * color[0], material.emission[1] * color[1], material.emission[2] * color[2]};
+  const Look& own = look(static_cast<std::size_t>(s.triangle));
+  if (own.material == nullptr) return {};
+  const Color& glow = own.material->emission;
+  return own.texture == nullptr ? glow : Color{glow[0] * color[0], glow[1] * color[1], glow[2] * color[2]};
 }
 
 MeshRenderer::Color MeshRenderer::irradiance(const Surface& s, int pattern, std::uint64_t frame,

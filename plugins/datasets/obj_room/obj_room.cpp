@@ -108,15 +108,12 @@ void validate(const ObjRoomParams& p, Diagnostics& diagnostics) {
   if (p.highest_m < p.lowest_m) diagnostics.error("config.value.order", "highest_m", "is below lowest_m", "raise it");
   if (p.far_m > 0 && p.far_m <= p.near_m)
     diagnostics.error("config.value.order", "far_m", "is not beyond near_m", "raise it");
-  if (!p.bounds.empty()) {
-    if (p.bounds.size() != 6) {
-      diagnostics.error("config.value.length", "bounds", "has " + std::to_string(p.bounds.size()) + " numbers",
-                        "give [xmin, ymin, zmin, xmax, ymax, zmax]");
-    } else if (p.bounds[0] >= p.bounds[3] || p.bounds[1] >= p.bounds[4] || p.bounds[2] >= p.bounds[5]) {
-      diagnostics.error("config.value.order", "bounds", "has a least corner that is not below the greatest",
-                        "give [xmin, ymin, zmin, xmax, ymax, zmax]");
-    }
-  }
+  constexpr const char* kBounds = "give [xmin, ymin, zmin, xmax, ymax, zmax]";
+  const std::vector<double>& b = p.bounds;
+  if (!b.empty() && b.size() != 6)
+    diagnostics.error("config.value.length", "bounds", fmt::format("has {} numbers", b.size()), kBounds);
+  else if (!b.empty() && (b[0] >= b[3] || b[1] >= b[4] || b[2] >= b[5]))
+    diagnostics.error("config.value.order", "bounds", "has a least corner that is not below the greatest", kBounds);
 }
 
 std::string recognise(const std::string& path, ObjRoomParams& p) {
@@ -162,16 +159,12 @@ class ObjRoom final : public Dataset {
     } else {
       const std::string file = resolved(root_, params_.cameras);
       const std::vector<Pose> all = read_camera_file(file, params_.camera_axes);
-      if (static_cast<int>(all.size()) < total) {
+      if (std::ssize(all) < total)
         throw Error(ErrorKind::data, "scene.obj.poses",
-                    file + ": holds " + std::to_string(all.size()) + " poses, frames + test_frames asks for " +
-                        std::to_string(total),
+                    fmt::format("{}: holds {} poses, frames + test_frames asks for {}", file, all.size(), total),
                     "lower scene.frames or scene.test_frames");
-      }
-      for (int i = 0; i < total; ++i) {
-        poses.push_back(all[static_cast<std::size_t>(static_cast<std::int64_t>(i) *
-                                                     static_cast<std::int64_t>(all.size()) / total)]);
-      }
+      for (std::int64_t i = 0; i < total; ++i)
+        poses.push_back(all[static_cast<std::size_t>(i * std::ssize(all) / total)]);
     }
     const double focal = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * pi / 180);
     const Camera camera{params_.width_px,       params_.height_px,      focal, focal,
@@ -198,10 +191,9 @@ class ObjRoom final : public Dataset {
   }
 
   void read(int frame, FrameBuffer& out) const override {
-    if (frame < 0 || frame >= static_cast<int>(info_.frames.size())) {
+    if (frame < 0 || frame >= std::ssize(info_.frames))
       throw Error(ErrorKind::internal, "internal.frame.range",
-                  "frame " + std::to_string(frame) + " of " + std::to_string(info_.frames.size()) + " was asked for");
-    }
+                  fmt::format("frame {} of {} was asked for", frame, info_.frames.size()));
     const FrameInfo& f = info_.frames[static_cast<std::size_t>(frame)];
     const auto number = static_cast<std::uint64_t>(frame);
     if (cast_.read(number, f, out)) return;
@@ -216,16 +208,14 @@ class ObjRoom final : public Dataset {
                   "set scene.root to the room's folder");
     if (!params_.obj.empty()) return resolved(root_, params_.obj);
     std::vector<std::string> found;
-    for (const auto& entry : sorted_folder(root_)) {
+    for (const auto& entry : sorted_folder(root_))
       if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
-    }
     if (found.empty())
       throw Error(ErrorKind::no_input, "scene.obj.missing", "no OBJ file in '" + root_ + "'",
                   "put one there or set scene.obj");
-    if (found.size() > 1) {
+    if (found.size() > 1)
       throw Error(ErrorKind::no_input, "scene.obj.several", "several OBJ files in '" + root_ + "': " + join(found),
                   "set scene.obj to one of them");
-    }
     return resolved(root_, found[0]);
   }
 
@@ -239,22 +229,28 @@ class ObjRoom final : public Dataset {
   }
 
   Box room_box(const ClassTable& classes, const std::vector<std::int16_t>& class_of) const {
+    const std::vector<double>& b = params_.bounds;
+    if (b.size() == 6) return {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
     Box box;
-    if (params_.bounds.size() == 6) {
-      const std::vector<double>& b = params_.bounds;
-      box.include({b[0], b[1], b[2]});
-      box.include({b[3], b[4], b[5]});
-      return box;
+    for (const Box& one : boxes_of(classes, class_of, params_.room_classes)) {
+      if (one.empty()) continue;
+      box.include(one.lo);
+      box.include(one.hi);
     }
+    return box.empty() ? renderer_->mesh().bounds : box;
+  }
+
+  // Of each object's triangles of these classes.
+  std::vector<Box> boxes_of(const ClassTable& classes, const std::vector<std::int16_t>& class_of,
+                            const std::vector<std::string>& names) const {
     const TriangleMesh& mesh = renderer_->mesh();
+    std::vector<Box> boxes(mesh.objects.size());
     for (std::size_t i = 0; i < mesh.size(); ++i) {
-      if (class_of[i] < 0) continue;
-      const std::string& name = classes.valid(class_of[i]).name;
-      if (std::find(params_.room_classes.begin(), params_.room_classes.end(), name) == params_.room_classes.end())
-        continue;
-      for (const std::size_t k : {0, 1, 2}) box.include(mesh.corner(i, k));
+      if (class_of[i] < 0 || std::ranges::find(names, classes.valid(class_of[i]).name) == names.end()) continue;
+      for (const std::size_t k : {0, 1, 2})
+        boxes[static_cast<std::size_t>(mesh.object_of[i])].include(mesh.corner(i, k));
     }
-    return box.empty() ? mesh.bounds : box;
+    return boxes;
   }
 
   std::vector<Light> lights(const Box& room, const ClassTable& classes,
@@ -268,20 +264,11 @@ class ObjRoom final : public Dataset {
     const auto strength = static_cast<float>(0.28 * (0.25 * longer * shorter + height));
     std::vector<Light> out;
     for (const double side : {-1.0, 1.0}) {
-      Light light;
-      light.position = center + up * (0.5 * height - std::min(0.45, 0.2 * height)) +
+      const Vec3d at = center + up * (0.5 * height - std::min(0.45, 0.2 * height)) +
                        level[along] * (side * 0.26 * longer) + level[1 - along] * (-side * 0.08 * shorter);
-      light.radius_m = 0.16;
-      light.intensity = {strength, 0.9f * strength, 0.76f * strength};
-      out.push_back(light);
+      out.push_back({at, 0.16, {strength, 0.9f * strength, 0.76f * strength}});
     }
-    const TriangleMesh& mesh = renderer_->mesh();
-    std::vector<Box> boxes(mesh.objects.size());
-    for (std::size_t i = 0; i < mesh.size(); ++i) {
-      if (class_of[i] < 0 || classes.valid(class_of[i]).name != "window") continue;
-      for (const std::size_t k : {0, 1, 2})
-        boxes[static_cast<std::size_t>(mesh.object_of[i])].include(mesh.corner(i, k));
-    }
+    const std::vector<Box> boxes = boxes_of(classes, class_of, {"window"});
     const auto area = [](const Box& b) {
       const Vec3d s = b.empty() ? Vec3d{} : b.size();
       return s.x * s.y + s.y * s.z + s.z * s.x;
@@ -378,9 +365,8 @@ bool segment_free(const Raycaster& rays, Vec3d p, Vec3d q, double clearance_m) {
 std::vector<Vec3d> free_positions(const Raycaster& rays, const PathSettings& s) {
   const RandomAddress address{s.seed, 0, stream_id("camera_path/position")};
   int axis = 0;
-  for (int k = 1; k < 3; ++k) {
+  for (int k = 1; k < 3; ++k)
     if (std::abs(s.up[k]) > std::abs(s.up[axis])) axis = k;
-  }
   Box box = s.region;
   const bool flipped = s.up[axis] < 0;
   const double floor = flipped ? box.hi[axis] : box.lo[axis];
@@ -392,10 +378,9 @@ std::vector<Vec3d> free_positions(const Raycaster& rays, const PathSettings& s) 
   std::vector<Vec3d> out;
   for (std::uint64_t i = 0; i < 4000 && out.size() < kCandidates; ++i) {
     Vec3d p;
-    for (int k = 0; k < 3; ++k) {
+    for (int k = 0; k < 3; ++k)
       p[k] = box.lo[k] +
              (box.hi[k] - box.lo[k]) * static_cast<double>(uniform01(address, 3 * i + static_cast<std::uint64_t>(k)));
-    }
     if (rays.clearance(p, s.clearance_m) >= s.clearance_m && enclosed(rays, p)) out.push_back(p);
   }
   return out;
@@ -427,9 +412,8 @@ std::vector<Vec3d> largest_room(const Raycaster& rays, const std::vector<Vec3d>&
   }
   const int best = static_cast<int>(std::max_element(sizes.begin(), sizes.end()) - sizes.begin());
   std::vector<Vec3d> out;
-  for (std::size_t i = 0; i < points.size(); ++i) {
+  for (std::size_t i = 0; i < points.size(); ++i)
     if (room[i] == best) out.push_back(points[i]);
-  }
   return out;
 }
 
@@ -495,11 +479,10 @@ std::vector<Key> make_keys(const Raycaster& rays, const PathSettings& s, const s
 std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s) {
   const std::vector<Vec3d> all = free_positions(rays, s);
   const std::vector<Vec3d> points = all.empty() ? all : largest_room(rays, all);
-  if (points.size() < 4) {
+  if (points.size() < 4)
     throw Error(ErrorKind::data, "scene.obj.space",
-                "no free space for cameras: " + std::to_string(points.size()) + " of 4000 positions are free",
+                fmt::format("no free space for cameras: {} of 4000 positions are free", points.size()),
                 "lower scene.clearance_m or set scene.bounds to the inside of the room");
-  }
   const LevelAxes axes = level_axes(s.up);
   const std::vector<Key> keys = make_keys(rays, s, points, axes);
   std::vector<Pose> poses;
@@ -568,10 +551,9 @@ void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics
     diagnostics.error("labels.class.unknown", value->location().text(), "no class named '" + value->text() + "'",
                       near_name_remedy(value->text(), names));
   }
-  if (rule.object.empty() && rule.group.empty() && rule.material.empty()) {
+  if (rule.object.empty() && rule.group.empty() && rule.material.empty())
     diagnostics.error("classes.rule.format", where, "the rule asks for no object, group or material",
                       "add object: \"PATTERN\"");
-  }
   out.rules.push_back(rule);
 }
 
@@ -635,40 +617,29 @@ std::vector<std::int16_t> classes_of_mesh(const TriangleMesh& mesh, const ClassR
   std::map<Key, std::int16_t> known;
   std::vector<bool> reported(mesh.objects.size(), false);
   std::vector<std::int16_t> out(mesh.size(), kVoid);
-  const auto index_of = [&](std::int32_t id) { return static_cast<std::int16_t>(rules.table.index_of(id)); };
+  const auto class_for = [&](std::size_t o, const std::string& group, const std::string& material) -> int {
+    const std::string& object = mesh.objects[o];
+    const auto fits = [](const std::string& pattern, const std::string& text) {
+      return pattern.empty() || matches_glob(text, pattern);
+    };
+    for (const ClassRule& rule : rules.rules)
+      if (fits(rule.object, object) && fits(rule.group, group) && fits(rule.material, material))
+        return rules.table.index_of(rule.id);
+    if (const ClassEntry* entry = find_class(rules.table, stem_of(object))) return rules.table.index_of(entry->id);
+    if (!reported[o])
+      diagnostics.error("classes.rule.missing", "object '" + object + "'",
+                        "has no class" + (group.empty() ? "" : " (group '" + group + "')") +
+                            (material.empty() ? "" : " (material '" + material + "')"),
+                        "add a rule such as {object: \"" + object + "\", class: NAME} to the class table");
+    reported[o] = true;
+    return kVoid;
+  };
   for (std::size_t i = 0; i < mesh.size(); ++i) {
-    const Key key{mesh.object_of[i], mesh.group_of[i], mesh.material_of[i]};
-    const auto [it, fresh] = known.emplace(key, kVoid);
-    if (fresh) {
-      const std::string& object = mesh.objects[static_cast<std::size_t>(mesh.object_of[i])];
-      const std::string& group = mesh.groups[static_cast<std::size_t>(mesh.group_of[i])];
-      const std::string material =
-          mesh.material_of[i] < 0 ? "" : mesh.materials[static_cast<std::size_t>(mesh.material_of[i])].name;
-      bool found = false;
-      for (const ClassRule& rule : rules.rules) {
-        const auto fits = [](const std::string& pattern, const std::string& text) {
-          return pattern.empty() || matches_glob(text, pattern);
-        };
-        if (!fits(rule.object, object) || !fits(rule.group, group) || !fits(rule.material, material)) continue;
-        it->second = index_of(rule.id);
-        found = true;
-        break;
-      }
-      if (!found) {
-        if (const ClassEntry* entry = find_class(rules.table, stem_of(object))) {
-          it->second = index_of(entry->id);
-          found = true;
-        }
-      }
-      const auto o = static_cast<std::size_t>(mesh.object_of[i]);
-      if (!found && !reported[o]) {
-        reported[o] = true;
-        diagnostics.error("classes.rule.missing", "object '" + object + "'",
-                          "has no class" + (group.empty() ? "" : " (group '" + group + "')") +
-                              (material.empty() ? "" : " (material '" + material + "')"),
-                          "add a rule such as {object: \"" + object + "\", class: NAME} to the class table");
-      }
-    }
+    const auto [it, fresh] = known.emplace(Key{mesh.object_of[i], mesh.group_of[i], mesh.material_of[i]}, kVoid);
+    if (fresh)
+      it->second = static_cast<std::int16_t>(class_for(
+          static_cast<std::size_t>(mesh.object_of[i]), mesh.groups[static_cast<std::size_t>(mesh.group_of[i])],
+          mesh.material_of[i] < 0 ? "" : mesh.materials[static_cast<std::size_t>(mesh.material_of[i])].name));
     out[i] = it->second;
   }
   return out;

@@ -5,7 +5,9 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -199,7 +201,16 @@ class MeshRenderer : NonCopyable {  // the ray-casting scene points into this ob
     float u = 0, v = 0;
   };
   using Color = std::array<float, 3>;
+  struct Look {
+    const Material* material = nullptr;
+    const Texture* texture = nullptr;
+    const Mask* mask = nullptr;
+    bool is_open() const { return material != nullptr && material->opacity < 0.5f; }
+  };
 
+  const Look& look(std::size_t triangle) const {
+    return looks_[static_cast<std::size_t>(mesh_.material_of[triangle] + 1)];
+  }
   Surface surface(Vec3d origin, Vec3d direction) const;
   Color albedo(const Surface& s, double footprint_m) const;
   Color emission(const Surface& s, const Color& albedo) const;
@@ -212,12 +223,12 @@ class MeshRenderer : NonCopyable {  // the ray-casting scene points into this ob
   TriangleMesh mesh_;
   std::vector<std::int16_t> class_of_;
   RenderSettings settings_;
-  std::vector<Texture> textures_;
-  std::vector<Mask> masks_;
-  std::vector<int> texture_of_, mask_of_;  // by material, -1 = none
-  std::vector<float> texels_per_m_;        // by triangle, 0 = no texture
-  std::vector<Color> object_color_;        // for surfaces without material
-  std::vector<float> lattice_;             // 32^3 random values
+  std::map<std::string, std::optional<Texture>> textures_;  // by path; none where it cannot be read
+  std::map<std::string, std::optional<Mask>> masks_;
+  std::vector<Look> looks_{{}};      // of no material, then of each
+  std::vector<float> texels_per_m_;  // by triangle, 0 = no texture
+  std::vector<Color> object_color_;  // for surfaces without material
+  std::vector<float> lattice_;       // 32^3 random values
   std::unique_ptr<Raycaster> rays_;
 };
 
