@@ -73,6 +73,19 @@ constexpr const char* kColorImage = "colour image";
 
 std::string number(double value) { return fmt::format("{:.4g}", value); }
 
+// Of an image or a camera.
+template <class Sized>
+std::string size_of(const Sized& image) {
+  return size_text(image.width_px, image.height_px);
+}
+
+bool same_size(const ImageSize& size, const Camera& camera) {
+  return size.width_px == camera.width_px && size.height_px == camera.height_px;
+}
+bool is_turned(const ImageSize& size, const Camera& camera) {
+  return size.width_px == camera.height_px && size.height_px == camera.width_px;
+}
+
 // Of one shape, but for a side that was rounded to whole pixels.
 bool is_scaled(const ImageSize& size, const Camera& camera) {
   const double sx = static_cast<double>(size.width_px) / camera.width_px;
@@ -95,15 +108,14 @@ struct OtherSize {
 
 OtherSize other_size(std::string_view what, const std::string& path, const ImageSize& size, const Camera& camera) {
   OtherSize out{"scene.image.size",
-                std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
-                    " pixels, the camera " + size_text(camera.width_px, camera.height_px),
+                fmt::format("{} '{}' is {} pixels, the camera {}", what, path, size_of(size), size_of(camera)),
                 "colour, depth and labels of a frame need the size that its camera states"};
   if (what != kColorImage) return out;
-  if (size.width_px != size.height_px && size.width_px == camera.height_px && size.height_px == camera.width_px) {
+  if (size.width_px != size.height_px && is_turned(size, camera)) {
     out.code = "scene.image.turned";
     if (turned_by_quarter(size.orientation)) {
-      out.message += ", which is that of the picture turned as the file's EXIF orientation says (" +
-                     std::to_string(size.orientation) + ")";
+      out.message += fmt::format(", which is that of the picture turned as the file's EXIF orientation says ({})",
+                                 size.orientation);
       out.remedy = "pixels are read as they are stored: turn them, for example with `mogrify -auto-orient FILES`";
     } else {
       out.message += ": one is turned by a quarter against the other";
@@ -130,30 +142,27 @@ class CameraFit {
     } catch (const Error&) {
       return true;
     }
-    if (size.width_px == camera.width_px && size.height_px == camera.height_px) return true;
+    if (same_size(size, camera)) return true;
     if (!is_scaled(size, camera)) {
       OtherSize wrong = other_size(kColorImage, image, size, camera);
-      const bool turned = size.width_px == camera.height_px && size.height_px == camera.width_px;
-      diagnostics.error(turned ? wrong.code : Code("scene.image.aspect"), place,
-                        turned ? wrong.message : wrong.message + ": another aspect ratio",
-                        turned ? wrong.remedy : "give the images that the cameras were made from, or scaled copies");
+      if (!is_turned(size, camera))
+        wrong = {"scene.image.aspect", wrong.message + ": another aspect ratio",
+                 "give the images that the cameras were made from, or scaled copies"};
+      diagnostics.error(wrong.code, place, wrong.message, wrong.remedy);
       return false;
     }
-    Scaled& one = scaled_[factor_text(size, camera)];
-    if (one.frames++ == 0) {
-      one.text = size_text(size.width_px, size.height_px) + " pixels, the cameras' " +
-                 size_text(camera.width_px, camera.height_px) + ", " + factor_text(size, camera);
-    }
+    const std::string factor = factor_text(size, camera);
+    Scaled& one = scaled_[factor];
+    if (one.frames++ == 0)
+      one.text = fmt::format("{} pixels, the cameras' {}, {}", size_of(size), size_of(camera), factor);
     camera = camera.resized(size.width_px, size.height_px);
     return true;
   }
   // After the last frame: a note under `source` of the cameras that were scaled.
   void report(const std::string& source, Diagnostics& diagnostics) const {
-    for (const auto& [factor, one] : scaled_) {
-      diagnostics.note(
-          "scene.camera.scaled", source,
-          "images are " + one.text + ": the intrinsics of " + std::to_string(one.frames) + " frames were scaled");
-    }
+    for (const auto& [factor, one] : scaled_)
+      diagnostics.note("scene.camera.scaled", source,
+                       fmt::format("images are {}: the intrinsics of {} frames were scaled", one.text, one.frames));
   }
 
  private:
@@ -227,11 +236,11 @@ std::string label_settings(const FrameInfo& frame, const fs::path& label, const 
 void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
                          Diagnostics& diagnostics) {
   if (channels == 1) return;
-  diagnostics.error("labels.image.channels", frame_place(frame),
-                    "label image '" + path + "' has " + std::to_string(channels) +
-                        " channels: it is a picture in colours, not one of class ids",
-                    "read the classes from the colours of the class table with " +
-                        label_settings(frame, path, labels_key, ", kind: color"));
+  diagnostics.error(
+      "labels.image.channels", frame_place(frame),
+      fmt::format("label image '{}' has {} channels: it is a picture in colours, not one of class ids", path, channels),
+      "read the classes from the colours of the class table with " +
+          label_settings(frame, path, labels_key, ", kind: color"));
 }
 
 // Of a picture of what the colour camera sees, at any size. ScanNet's own sizes are off each other by half a percent.
@@ -239,10 +248,10 @@ void check_shape(const std::string& path, const ImageSize& size, const Camera& c
                  Diagnostics& diagnostics) {
   const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
   if (std::abs(shape - 1) < 0.02) return;
-  diagnostics.error("scene.image.aspect", place,
-                    "'" + path + "' is " + size_text(size.width_px, size.height_px) + " pixels, the colour image " +
-                        size_text(color.width_px, color.height_px) + ": another aspect ratio",
-                    "export all images of a frame from the same camera");
+  diagnostics.error(
+      "scene.image.aspect", place,
+      fmt::format("'{}' is {} pixels, the colour image {}: another aspect ratio", path, size_of(size), size_of(color)),
+      "export all images of a frame from the same camera");
 }
 
 }  // namespace
@@ -292,10 +301,11 @@ ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& file
         frame.orientation = size.orientation;
         if (size.orientation != 1) turned_.push_back(frame.name);
       }
+      if (is_label && (any_size || same_size(size, camera)))
+        report_color_labels(frame, path, size.channels, rules.labels_key, diagnostics);
       if (any_size) {
-        if (is_label) report_color_labels(frame, path, size.channels, rules.labels_key, diagnostics);
         check_shape(path, size, camera, frame_place(frame), diagnostics);
-      } else if (size.width_px != camera.width_px || size.height_px != camera.height_px) {
+      } else if (!same_size(size, camera)) {
         OtherSize wrong = other_size(kind.what, path, size, camera);
         if (kind.shown && turned_by_quarter(frame.orientation)) {
           wrong.message += " turned as the image's EXIF orientation says (" + std::to_string(frame.orientation) + ")";
@@ -307,8 +317,6 @@ ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& file
           wrong.remedy +=
               "; labels of another one are scaled with " + label_settings(frame, path, rules.labels_key, "");
         diagnostics.error(wrong.code, frame_place(frame), wrong.message, wrong.remedy);
-      } else if (is_label) {
-        report_color_labels(frame, path, size.channels, rules.labels_key, diagnostics);
       }
     } catch (const Error& e) {
       diagnostics.error(e.code(), frame_place(frame), (any_size ? "" : std::string(kind.what) + " ") + e.message(),
@@ -319,27 +327,25 @@ ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& file
 }
 
 void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
-  if (!turned_.empty()) {
+  if (!turned_.empty())
     diagnostics.note(
         "scene.image.orientation", source,
-        std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
-            " images have an EXIF orientation by which viewers turn them; here pixels count as "
-            "they are stored, as cameras and masks of COLMAP do, and labels as drawn over the image as shown: " +
-            first_names(turned_));
-  }
+        fmt::format("{} of {} images have an EXIF orientation by which viewers turn them; here pixels count as "
+                    "they are stored, as cameras and masks of COLMAP do, and labels as drawn over the image as shown: "
+                    "{}",
+                    turned_.size(), frames_left, first_names(turned_)));
   if (missing_ == MissingFiles::error) return;
   std::size_t lost = 0;
   for (const auto& [what, names] : left_out_) {
-    const std::string count = std::to_string(names.size());
     if (is_optional(what)) {
       diagnostics.note("scene.file.skipped", source,
-                       count + " of " + std::to_string(frames_left) + " frames go without a " + what +
-                           ", which is missing: " + first_names(names));
+                       fmt::format("{} of {} frames go without a {}, which is missing: {}", names.size(), frames_left,
+                                   what, first_names(names)));
     } else {
       lost += names.size();
       diagnostics.note("scene.file.skipped", source,
-                       count + (names.size() == 1 ? " frame is" : " frames are") + " left out, whose " + what +
-                           " is missing: " + first_names(names));
+                       fmt::format("{} frame{} left out, whose {} is missing: {}", names.size(),
+                                   names.size() == 1 ? " is" : "s are", what, first_names(names)));
     }
   }
   if (lost > 0 && frames_left == 0)
@@ -381,8 +387,8 @@ std::string FrameMasks::in_folder(const std::string& image) {
 void FrameMasks::report(Diagnostics& diagnostics) const {
   if (moving_ > 0)
     diagnostics.note("scene.mask.moving", root_,
-                     std::to_string(moving_) + " of " + std::to_string(images_) + " images have a " + kMovingMask +
-                         "NAME.png next to them: what is not black in it is masked");
+                     fmt::format("{} of {} images have a {}NAME.png next to them: what is not black in it is masked",
+                                 moving_, images_, kMovingMask));
   if (folder_.empty()) {
     if (is_folder(fs::path(root_) / "masks"))
       diagnostics.note(
@@ -403,8 +409,7 @@ void FrameMasks::report(Diagnostics& diagnostics) const {
                       "name the masks as the images, with .png, or correct scene.masks");
   } else if (found_ < asked_) {
     diagnostics.note("scene.mask.missing", folder_,
-                     std::to_string(asked_ - found_) + " of " + std::to_string(asked_) +
-                         " images have no mask: all of their pixels count");
+                     fmt::format("{} of {} images have no mask: all of their pixels count", asked_ - found_, asked_));
   }
 }
 
@@ -453,26 +458,22 @@ ClassTable load_class_file(std::string path, const std::vector<std::string>& fol
     diagnostics.error(e.code(), named ? "" : path, e.message(), e.remedy());
     return {};
   }
-  if (has_labels) {
+  if (has_labels)
     diagnostics.error(
         "labels.classes.none", folders.front(),
         "labels without a class table: no classes.yaml, classes.csv or info_semantic.json in the scene's folder",
         "write classes.yaml there, with a line such as '- {id: 1, name: wall}' for each class, or name a table with "
-        "--set "
-        "scene.classes=FILE");
-  }
+        "--set scene.classes=FILE");
   return {};
 }
 
 void report_unlabelled(const std::string& folder, std::size_t labelled, std::size_t frames, Diagnostics& diagnostics) {
-  if (labelled == 0 && frames > 0) {
+  if (labelled == 0 && frames > 0)
     diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
                       "name them like the images, in the same folders, with .png");
-  } else if (labelled < frames) {
-    diagnostics.note(
-        "labels.frames.missing", folder,
-        std::to_string(frames - labelled) + " of " + std::to_string(frames) + " frames have no label image");
-  }
+  else if (labelled < frames)
+    diagnostics.note("labels.frames.missing", folder,
+                     fmt::format("{} of {} frames have no label image", frames - labelled, frames));
 }
 
 // The grid of a further channel; nothing but the header is read.

@@ -63,13 +63,12 @@ bool newton(const Camera& c, Plane target, Plane& q) {
       double trial_j[4];
       const Plane trial_at = distort(c, trial, trial_j);
       const double trial_residual = std::hypot(trial_at.x - target.x, trial_at.y - target.y);
-      if (trial_residual < residual) {
-        q = trial;
-        at = trial_at;
-        residual = trial_residual;
-        for (int i = 0; i < 4; ++i) j[i] = trial_j[i];
-        better = true;
-      }
+      better = trial_residual < residual;
+      if (!better) continue;
+      q = trial;
+      at = trial_at;
+      residual = trial_residual;
+      std::copy(std::begin(trial_j), std::end(trial_j), j);
     }
     if (!better) break;  // at the rounding floor, or no way down
   }
@@ -84,9 +83,8 @@ double radial_slope(const Camera& c, double s) {
 // True while the radial part grows all the way from the axis to r^2 = `end`: beyond its first fold a point is the image
 // of two rays, and only the inner one is the lens. Looked at in 32 steps.
 bool inside_first_fold(const Camera& c, double end) {
-  for (int i = 1; i <= 32; ++i) {
+  for (int i = 1; i <= 32; ++i)
     if (!(radial_slope(c, end * i / 32) > 0)) return false;
-  }
   return true;
 }
 
@@ -95,9 +93,8 @@ bool undistort(const Camera& c, Plane target, Plane& out) {
   if (newton(c, target, out) && inside_first_fold(c, squared(out))) return true;
   // Strong lenses: walk from the axis outwards, each solution starting the next one.
   out = {};
-  for (int i = 1; i <= 16; ++i) {
+  for (int i = 1; i <= 16; ++i)
     if (!newton(c, {target.x * i / 16, target.y * i / 16}, out)) return false;
-  }
   return inside_first_fold(c, squared(out));
 }
 
@@ -244,37 +241,35 @@ constexpr const char* kZDepth = "z-depth";
 
 // Numbers of a camera; its file may leave out those behind the first four.
 constexpr std::size_t kNeeded = 4;
-constexpr std::array<std::pair<const char*, double Camera::*>, 10> kNumbers{{{"fx", &Camera::fx},
-                                                                             {"fy", &Camera::fy},
-                                                                             {"cx", &Camera::cx},
-                                                                             {"cy", &Camera::cy},
-                                                                             {"k1", &Camera::k1},
-                                                                             {"k2", &Camera::k2},
-                                                                             {"k3", &Camera::k3},
-                                                                             {"k4", &Camera::k4},
-                                                                             {"p1", &Camera::p1},
-                                                                             {"p2", &Camera::p2}}};
+using C = Camera;
+constexpr std::array<std::pair<const char*, double Camera::*>, 10> kNumbers{{{"fx", &C::fx},
+                                                                             {"fy", &C::fy},
+                                                                             {"cx", &C::cx},
+                                                                             {"cy", &C::cy},
+                                                                             {"k1", &C::k1},
+                                                                             {"k2", &C::k2},
+                                                                             {"k3", &C::k3},
+                                                                             {"k4", &C::k4},
+                                                                             {"p1", &C::p1},
+                                                                             {"p2", &C::p2}}};
 
-// As the key "lens" names them; a perspective camera needs none.
-constexpr std::array<std::pair<const char*, LensKind>, 3> kKinds{{{"perspective", LensKind::perspective},
-                                                                  {"fisheye", LensKind::fisheye},
-                                                                  {"equirectangular", LensKind::equirectangular}}};
+// By LensKind, as the key "lens" names them; a perspective camera needs none.
+constexpr std::array kKinds{"perspective", "fisheye", "equirectangular"};
 
 Json json_of(const PlacedCamera& placed) {
   const Camera& c = placed.camera;
   Json out{{"name", placed.name}, {"width", c.width_px}, {"height", c.height_px}};
-  if (c.is_wide()) out["lens"] = kKinds[static_cast<std::size_t>(c.lens)].first;
+  if (c.is_wide()) out["lens"] = kKinds[static_cast<std::size_t>(c.lens)];
   for (const auto& [key, member] : kNumbers) out[key] = c.*member;
   if (placed.far_m > 0) {
     out["near"] = placed.near_m;
     out["far"] = placed.far_m;
   }
-  Json& matrix = out["world_from_camera"] = Json::array();
-  for (int row = 0; row < 3; ++row) {
-    const auto& r = placed.world_from_camera.r[static_cast<std::size_t>(row)];
-    matrix.push_back({r[0], r[1], r[2], placed.world_from_camera.t[row]});
-  }
-  matrix.push_back({0, 0, 0, 1});
+  const auto& [r, t] = placed.world_from_camera;
+  out["world_from_camera"] = {{r[0][0], r[0][1], r[0][2], t.x},
+                              {r[1][0], r[1][1], r[1][2], t.y},
+                              {r[2][0], r[2][1], r[2][2], t.z},
+                              {0, 0, 0, 1}};
   return out;
 }
 
@@ -317,12 +312,11 @@ std::optional<PlacedCamera> read_camera(const Json& node, const std::string& pla
   for (std::size_t i = 0; i < kNumbers.size(); ++i)
     c.*kNumbers[i].second = number(kNumbers[i].first, i < kNeeded ? std::nullopt : std::optional(0.0));
   if (node.contains("lens")) {
-    const auto kind =
-        std::find_if(kKinds.begin(), kKinds.end(), [&](const auto& one) { return node["lens"] == one.first; });
-    if (kind == kKinds.end())
+    const auto kind = std::find(kKinds.begin(), kKinds.end(), node["lens"]) - kKinds.begin();
+    if (kind == std::ssize(kKinds))
       error("'lens' is none of perspective, fisheye and equirectangular", "write one of these, or leave it out");
     else
-      c.lens = kind->second;
+      c.lens = static_cast<LensKind>(kind);
   }
   std::vector<double> rows;
   const Json matrix = node.value("world_from_camera", Json());
@@ -453,10 +447,7 @@ Pose look_along(Vec3d position, Vec3d forward, Vec3d up) {
   x = length(x) > 1e-9 ? normalized(x) : level_axes(up).a;
   const Vec3d y = cross(z, x);
   Pose pose;
-  for (int row = 0; row < 3; ++row) {
-    auto& r = pose.r[static_cast<std::size_t>(row)];
-    r = {x[row], y[row], z[row]};
-  }
+  for (int row = 0; row < 3; ++row) pose.r[static_cast<std::size_t>(row)] = {x[row], y[row], z[row]};
   pose.t = position;
   return pose;
 }
@@ -468,14 +459,12 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
   const Vec3d x = pose.axis(0), y = pose.axis(1), z = pose.axis(2);
   const double off = std::max({std::abs(dot(x, y)), std::abs(dot(y, z)), std::abs(dot(x, z)), std::abs(length(x) - 1),
                                std::abs(length(y) - 1), std::abs(length(z) - 1)});
-  if (!(off < 1e-3) || dot(cross(x, y), z) < 0) {
+  if (!(off < 1e-3) || dot(cross(x, y), z) < 0)
     throw Error(ErrorKind::data, "render.path.pose", where + ": the 3x3 part is not a rotation",
                 "give camera-to-world matrices");
-  }
-  if (m.size() == 16 && (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)) {
+  if (m.size() == 16 && (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1))
     throw Error(ErrorKind::data, "render.path.pose", where + ": the last row is not 0 0 0 1",
                 "give camera-to-world matrices, row by row");
-  }
   if (axes == CameraAxes::right_up_backward) pose = opencv_from_opengl(pose);
   if (axes == CameraAxes::left_up_forward)
     for (auto& row : pose.r) row = {-row[0], -row[1], row[2]};
@@ -488,53 +477,48 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
 std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
   std::istringstream stream(read_pose_file(path));
   std::vector<std::vector<double>> rows;
-  std::vector<int> lines;
+  std::vector<std::string> places;
   std::string line;
   for (int number = 1; std::getline(stream, line); ++number) {
+    const std::string place = path + ":" + std::to_string(number);
     const auto first = line.find_first_not_of(" \t\r");
     if (first == std::string::npos || line[first] == '#') continue;
-    std::istringstream words(line);
     std::vector<double> row;
-    for (std::string word; words >> word;) {
+    for (const std::string_view word : words_of(line)) {
       double value = 0;
       const char* begin = word.data() + (word.size() > 1 && word[0] == '+' ? 1 : 0);
       const auto [end, code] = std::from_chars(begin, word.data() + word.size(), value);
-      const bool tiny = code == std::errc::result_out_of_range && word.find("e-") != std::string::npos;
-      if (end != word.data() + word.size() || !(code == std::errc{} || tiny) || !std::isfinite(value)) {
+      const bool tiny = code == std::errc::result_out_of_range && word.find("e-") != std::string_view::npos;
+      if (end != word.data() + word.size() || !(code == std::errc{} || tiny) || !std::isfinite(value))
         throw Error(ErrorKind::data, "render.path.number",
-                    path + ":" + std::to_string(number) + ": '" + word.substr(0, 40) + "' is not a finite number",
+                    fmt::format("{}: '{}' is not a finite number", place, word.substr(0, 40)),
                     "write finite numbers, and leave out poses that are lost");
-      }
       row.push_back(tiny ? 0 : value);
     }
-    if (row.size() != 16 && row.size() != 12 && row.size() != 4) {
-      throw Error(
-          ErrorKind::data, "render.path.format",
-          path + ":" + std::to_string(number) + ": expected 4, 12 or 16 numbers, got '" + line.substr(0, 80) + "'",
-          "write one camera-to-world matrix a line, or one matrix row a line");
-    }
+    if (row.size() != 16 && row.size() != 12 && row.size() != 4)
+      throw Error(ErrorKind::data, "render.path.format",
+                  fmt::format("{}: expected 4, 12 or 16 numbers, got '{}'", place, line.substr(0, 80)),
+                  "write one camera-to-world matrix a line, or one matrix row a line");
     rows.push_back(std::move(row));
-    lines.push_back(number);
+    places.push_back(place);
   }
   if (rows.empty())
     throw Error(ErrorKind::data, "render.path.empty", path + ": holds no pose",
                 "write one camera-to-world matrix a line");
   std::size_t per_pose = 1;
   if (rows[0].size() == 4) per_pose = rows.size() >= 4 && rows[3] == std::vector<double>{0, 0, 0, 1} ? 4 : 3;
-  if (rows.size() % per_pose != 0) {
+  if (rows.size() % per_pose != 0)
     throw Error(ErrorKind::data, "render.path.format",
-                path + ": " + std::to_string(rows.size()) + " lines are not a multiple of " + std::to_string(per_pose),
+                fmt::format("{}: {} lines are not a multiple of {}", path, rows.size(), per_pose),
                 "the file was cut short");
-  }
   std::vector<Pose> poses;
   for (std::size_t i = 0; i < rows.size(); i += per_pose) {
     std::vector<double> m;
     for (std::size_t k = 0; k < per_pose; ++k) m.insert(m.end(), rows[i + k].begin(), rows[i + k].end());
-    const std::string where = path + ":" + std::to_string(lines[i]);
     if (m.size() != 12 && m.size() != 16)
-      throw Error(ErrorKind::data, "render.path.format", where + ": expected 12 or 16 numbers a pose",
+      throw Error(ErrorKind::data, "render.path.format", places[i] + ": expected 12 or 16 numbers a pose",
                   "write all poses of a file in the same form");
-    poses.push_back(pose_of(m, where, axes));
+    poses.push_back(pose_of(m, places[i], axes));
   }
   return poses;
 }

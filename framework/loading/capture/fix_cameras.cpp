@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
@@ -15,6 +14,7 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
+#include "core/joined_sets.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/capture/prepare.h"
@@ -447,12 +447,10 @@ std::vector<T> numbers(sqlite3_stmt* row, int at, std::int64_t count) {
 // Sets of features, each with the frames that it has a feature of.
 class Joined {
  public:
-  explicit Joined(std::size_t count) : parent_(count), frames_(count) { std::iota(parent_.begin(), parent_.end(), 0u); }
-  void set_frame(std::size_t feature, std::int32_t frame) { frames_[feature] = {frame}; }
-  std::size_t root(std::size_t i) {
-    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
-    return i;
+  explicit Joined(const std::vector<Sighting>& features) : sets_(features.size()) {
+    for (const Sighting& s : features) frames_.push_back({s.frame});
   }
+  std::size_t root(std::size_t i) { return sets_.of(i); }
   void join(std::size_t a, std::size_t b) {
     a = root(a);
     b = root(b);
@@ -461,14 +459,13 @@ class Joined {
     std::set_union(frames_[a].begin(), frames_[a].end(), frames_[b].begin(), frames_[b].end(),
                    std::back_inserter(both));
     if (both.size() < frames_[a].size() + frames_[b].size()) return;
-    if (frames_[a].size() < frames_[b].size()) std::swap(a, b);
-    parent_[b] = static_cast<std::uint32_t>(a);
-    frames_[a] = std::move(both);
-    frames_[b] = {};
+    sets_.join(a, b);
+    frames_[a] = frames_[b] = {};
+    frames_[root(a)] = std::move(both);
   }
 
  private:
-  std::vector<std::uint32_t> parent_;
+  JoinedSets sets_;
   std::vector<std::vector<std::int32_t>> frames_;
 };
 
@@ -515,12 +512,10 @@ std::vector<Track> feature_tracks(const std::string& file, const std::vector<std
   // Pairs that share most are joined first: they are the surest.
   std::stable_sort(all.begin(), all.end(),
                    [](const Matches& x, const Matches& y) { return x.pairs.size() > y.pairs.size(); });
-  Joined joined(features.size());
-  for (std::size_t i = 0; i < features.size(); ++i) joined.set_frame(i, features[i].frame);
-  for (const Matches& pair : all) {
+  Joined joined(features);
+  for (const Matches& pair : all)
     for (std::size_t i = 0; i < pair.pairs.size(); i += 2)
       joined.join(pair.a + pair.pairs[i], pair.b + pair.pairs[i + 1]);
-  }
   std::unordered_map<std::size_t, std::size_t> track_of;
   std::vector<Track> out;
   for (std::size_t i = 0; i < features.size(); ++i) {

@@ -546,9 +546,8 @@ SmallFrame small_depth_frame(const Camera& camera, const FrameBuffer& frame) {
 // angle between two cameras is the same under every convention. Frames with width 0 in `cameras` are left out.
 FramePairs choose_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras) {
   std::vector<int> usable;
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
+  for (std::size_t i = 0; i < cameras.size(); ++i)
     if (cameras[i].width_px > 0) usable.push_back(static_cast<int>(i));
-  }
   const std::size_t count = usable.size(), anchors = std::min<std::size_t>(count, kAnchors);
   std::vector<Pose> poses[2];  // as given, and inverted
   double extent[2] = {};
@@ -621,9 +620,8 @@ DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFr
     convention.depth_scale *= depth_scale;
     all.push_back({convention, axes, 0, 1});
   };
-  for (const double scale : {1.0, 1000.0, 0.001}) {
+  for (const double scale : {1.0, 1000.0, 0.001})
     for (std::size_t c = 0; c < turned.size(); ++c) add(c, scale);
-  }
   // 5000, 4000 and 6553.5 steps a metre, and tenths and hundredths.
   for (const double scale : {0.2, 0.25, 1 / 6.5535, 0.1, 0.01, 10.0, 100.0}) add(0, scale);
   const std::size_t read = all.size();
@@ -645,9 +643,8 @@ DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFr
   });
   for (std::size_t m = 0; m < all.size(); ++m) {
     std::vector<float> landed;
-    for (const std::vector<float>& pair : votes) {
+    for (const std::vector<float>& pair : votes)
       if (pair[m] <= 1) landed.push_back(pair[m]);
-    }
     all[m].pairs = static_cast<int>(landed.size());
     if (!landed.empty()) all[m].error = median_of(landed);
   }
@@ -813,12 +810,14 @@ Finding compare(const PoseConvention& fits, const PoseConvention& given, bool op
                                       : "poses have OpenGL axes (y up, z backward) where OpenCV axes are expected");
     set("flip_camera_axes", fits.flip_camera_axes ? "true" : "false");
   }
+  const auto times_off = [](double large) {
+    return fmt::format("{:.6g} times too {}", large < 1 ? 1 / large : large, large < 1 ? "small" : "large");
+  };
   if (fits.pose_scale != given.pose_scale) {
     const double large = given.pose_scale / fits.pose_scale;
     out.what.push_back(fits.pose_scale == 1 ? "camera centres should not be scaled"
                        : large == 1000      ? "camera centres are in millimetres where depth is in metres"
-                       : large < 1 ? "camera centres are " + plain_number(1 / large) + " times too small for the depth"
-                                   : "camera centres are " + plain_number(large) + " times too large for the depth");
+                                            : "camera centres are " + times_off(large) + " for the depth");
     set("pose_scale", plain_number(fits.pose_scale));
   }
   if (fits.depth_scale != given.depth_scale) {
@@ -826,8 +825,7 @@ Finding compare(const PoseConvention& fits, const PoseConvention& given, bool op
     out.what.push_back(fits.depth_scale == 1 ? "depth should not be scaled"
                        : large == 0.001      ? "depth in metres was read as millimetres"
                        : large == 1000       ? "depth in millimetres was read as metres"
-                       : large < 1 ? "depth is " + plain_number(1 / large) + " times too small for the camera centres"
-                                   : "depth is " + plain_number(large) + " times too large for the camera centres");
+                                             : "depth is " + times_off(large) + " for the camera centres");
     set("depth_scale", plain_number(fits.depth_scale));
   }
   return out;
@@ -890,11 +888,11 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
   }
   if (best != &given) {
     const PoseConvention fits = by_plausible_unit(best->convention, given.convention, range.median);
-    const std::string as_given =
-        given.pairs == 0 ? "neighbouring frames do not meet as given"
-                         : "depth warped between neighbouring frames is off by " + percent(given.error) + " as given";
+    const std::string off = "depth warped between neighbouring frames is off by " + percent(given.error) + " as given";
     report(fits, given.convention, as_opened,
-           as_given + ", by " + percent(best->error) + " so read (median over " + pairs_text(best->pairs) + ")",
+           fmt::format("{}, by {} so read (median over {})",
+                       given.pairs == 0 ? "neighbouring frames do not meet as given" : off, percent(best->error),
+                       pairs_text(best->pairs)),
            diagnostics);
     return "poses contradict depth";
   }
@@ -902,13 +900,13 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
   const std::string numbers = "median error " + percent(given.error) + " over " + pairs_text(given.pairs);
   if (given.error > kContradicts && wide) return "could not be checked: few frames, far apart (" + numbers + ")";
   if (given.error > kContradicts && given.pairs >= 3) {
-    diagnostics.warning("scene.depth.disagrees", as_opened.name,
-                        "poses and depth do not agree: depth warped between neighbouring frames is off by " +
-                            percent(given.error) + " (median over " + pairs_text(given.pairs) +
-                            "), and neither other axes, nor inverse poses, nor another unit explain it",
-                        range.values <= kRounded ? "depth has " + std::to_string(range.values) +
-                                                       " different values: export it in millimetres"
-                                                 : "check poses, intrinsics and the unit of depth");
+    diagnostics.warning(
+        "scene.depth.disagrees", as_opened.name,
+        fmt::format("poses and depth do not agree: depth warped between neighbouring frames is off by {} (median over "
+                    "{}), and neither other axes, nor inverse poses, nor another unit explain it",
+                    percent(given.error), pairs_text(given.pairs)),
+        range.values <= kRounded ? fmt::format("depth has {} different values: export it in millimetres", range.values)
+                                 : "check poses, intrinsics and the unit of depth");
     return "poses do not agree with depth: " + numbers;
   }
   if (!tells) return "could not be checked: the camera hardly moves (" + numbers + ")";
@@ -953,12 +951,11 @@ std::string judge_photos(const PhotoMatches& found, const SceneInfo& as_opened, 
     const bool large = best.factor > 1;
     const std::string factor = plain_number(large ? best.factor : 1 / best.factor);
     diagnostics.error("scene.camera.size", as_opened.name,
-                      "intrinsics are of images " + factor + " times as " + (large ? "large: " : "small: ") + evidence +
-                          " with focal lengths " + (large ? "divided" : "multiplied") + " by " + factor,
-                      (large ? "divide focal lengths and centre by " : "multiply focal lengths and centre by ") +
-                          factor +
-                          ", or state the size of the images that they belong to "
-                          "(scene.load.check_geometry: false takes the scene as it is)");
+                      fmt::format("intrinsics are of images {} times as {}: {} with focal lengths {} by {}", factor,
+                                  large ? "large" : "small", evidence, large ? "divided" : "multiplied", factor),
+                      fmt::format("{} focal lengths and centre by {}, or state the size of the images that they belong "
+                                  "to (scene.load.check_geometry: false takes the scene as it is)",
+                                  large ? "divide" : "multiply", factor));
     return "the intrinsics contradict the photographs";
   }
   const std::string numbers = percent(share(given)) + " of " + seen + " lie where the poses put them";
