@@ -28,12 +28,6 @@ void check_root_and_test_every(const std::string& root, std::int32_t test_every,
                       "take 2 or more, or 0 for no test frames");
 }
 
-namespace {
-
-constexpr std::size_t kMostBytes = 200;  // file systems take 255, and kinds and endings follow
-
-}  // namespace
-
 std::string output_name(std::string_view frame) {
   std::string name(frame);
   std::replace(name.begin(), name.end(), '/', '_');
@@ -41,6 +35,7 @@ std::string output_name(std::string_view frame) {
 }
 
 std::optional<std::string> OutputNames::add(const std::string& frame) {
+  constexpr std::size_t kMostBytes = 200;  // file systems take 255, and kinds and endings follow
   if (frame.empty()) return "its name is empty";
   if (frame.size() > kMostBytes)
     return fmt::format("its name has {} bytes; at most {} are allowed", frame.size(), kMostBytes);
@@ -53,10 +48,9 @@ std::optional<std::string> OutputNames::add(const std::string& frame) {
 
 void check_output_names(const SceneInfo& info, Diagnostics& diagnostics) {
   OutputNames names;
-  for (const FrameInfo& frame : info.frames) {
+  for (const FrameInfo& frame : info.frames)
     if (const auto wrong = names.add(frame.name))
       diagnostics.error("scene.frame.name", frame_place(frame), *wrong, kFrameNameRemedy);
-  }
 }
 
 // Packing of loaded frames; every packing is undone exactly.
@@ -235,27 +229,13 @@ namespace {
 
 std::string number(double value) { return fmt::format("{:.3g}", value); }
 
-bool finite(const Pose& pose) {
-  for (const auto& row : pose.r) {
-    for (const double v : row) {
-      if (!std::isfinite(v)) return false;
-    }
-  }
-  return std::isfinite(pose.t.x) && std::isfinite(pose.t.y) && std::isfinite(pose.t.z);
+bool finite(std::span<const double> all) {
+  return std::all_of(all.begin(), all.end(), [](double v) { return std::isfinite(v); });
 }
-
-bool finite(const Camera& camera) {
-  const double all[] = {camera.fx, camera.fy, camera.cx, camera.cy, camera.k1,
-                        camera.k2, camera.k3, camera.k4, camera.p1, camera.p2};
-  return std::all_of(std::begin(all), std::end(all), [](double v) { return std::isfinite(v); });
-}
-
-bool finite(const Box& box) {
-  for (int a = 0; a < 3; ++a) {
-    if (!std::isfinite(box.lo[a]) || !std::isfinite(box.hi[a])) return false;
-  }
-  return true;
-}
+bool finite(const Vec3d& v) { return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z); }
+bool finite(const Pose& pose) { return finite(pose.r[0]) && finite(pose.r[1]) && finite(pose.r[2]) && finite(pose.t); }
+bool finite(const Camera& c) { return finite(std::array{c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2}); }
+bool finite(const Box& box) { return finite(box.lo) && finite(box.hi); }
 
 // A perspective lens sees less than 180 degrees: at a thousandth of the image it is 179.9.
 bool is_focal(double focal_px, int size_px) { return focal_px >= 1e-3 * size_px && focal_px <= 1e6 * size_px; }
@@ -263,12 +243,12 @@ bool is_focal(double focal_px, int size_px) { return focal_px >= 1e-3 * size_px 
 void check_focal(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
   const bool positive = camera.fx > 0 && camera.fy > 0;
   if (is_focal(camera.fx, camera.width_px) && is_focal(camera.fy, camera.height_px)) return;
+  const std::string range = fmt::format("between a thousandth and a million times the image, which has {} x {} pixels",
+                                        camera.width_px, camera.height_px);
   diagnostics.error(
       "scene.camera.focal", place,
-      "focal length is " + number(camera.fx) + " x " + number(camera.fy) + " pixels; it must be " +
-          (positive ? "between a thousandth and a million times the image, which has " +
-                          std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) + " pixels"
-                    : std::string("positive")),
+      fmt::format("focal length is {:.3g} x {:.3g} pixels; it must be {}", camera.fx, camera.fy,
+                  positive ? range : "positive"),
       positive ? "check that the intrinsics are in pixels" : "check the intrinsics and the axes convention");
 }
 
@@ -332,8 +312,9 @@ void check_distortion(const Camera& camera, const std::string& place, Diagnostic
                         "check that the coefficients are those of this camera model, in its order");
   } else if (lost > 0 && !camera.is_wide()) {  // a fisheye's corners lie beyond its circle, as they should
     diagnostics.warning("scene.camera.masked", place,
-                        "lens distortion has no inverse at " + std::to_string(lost) +
-                            " of 9 points of the image; such pixels are masked",
+                        fmt::format("lens distortion has no inverse at {} of 9 points of the image; such pixels are "
+                                    "masked",
+                                    lost),
                         "calibrate with points up to the image corners");
   }
 }
@@ -363,11 +344,7 @@ std::string other_image(const Camera& c) {
 }  // namespace
 
 std::string frame_place(const FrameInfo& frame) {
-  std::string place = "frame '";
-  place += frame.name;
-  place += "'";
-  if (!frame.source.empty()) place += " (" + frame.source + ")";
-  return place;
+  return fmt::format("frame '{}'{}", frame.name, frame.source.empty() ? "" : " (" + frame.source + ")");
 }
 
 Pose pose_from_rows(std::span<const double> numbers) {
@@ -417,11 +394,10 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
                       "flip one camera axis in the export");
     return PoseState::refused;
   }
-  if (error > 1e-5) {
+  if (error > 1e-5)
     diagnostics.warning("scene.pose.rounded", place,
                         "pose is " + number(error) + " off orthonormal and was made orthonormal",
                         "export poses with more digits");
-  }
   if (error > 1e-9) make_rotation(pose);
   return PoseState::good;
 }
@@ -429,19 +405,18 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
 void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
                     Diagnostics& diagnostics) {
   if (skipped.empty() && diagnostics.has_errors()) return;  // why none is left is said already
-  if (kept == 0) {
+  if (kept == 0)
     diagnostics.error(
         "scene.frames.none", source,
         skipped.empty() ? "no frames in it" : "all " + std::to_string(skipped.size()) + " poses are not finite",
         skipped.empty() ? "check the path" : "track the cameras again");
-  }
   if (skipped.empty() || kept == 0) return;
-  std::vector<std::string> shown(
-      skipped.begin(), skipped.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(8, skipped.size())));
+  std::vector<std::string> shown = skipped;
+  shown.resize(std::min<std::size_t>(8, skipped.size()));
   if (shown.size() < skipped.size()) shown.push_back("...");
   diagnostics.warning("scene.pose.skipped", source,
-                      std::to_string(skipped.size()) + " of " + std::to_string(skipped.size() + kept) +
-                          " frames skipped: their poses are not finite (" + join(shown) + ")",
+                      fmt::format("{} of {} frames skipped: their poses are not finite ({})", skipped.size(),
+                                  skipped.size() + kept, join(shown)),
                       {});
 }
 
@@ -461,8 +436,8 @@ void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
   }
   if (!std::isfinite(info.near_hint_m) || !std::isfinite(info.far_hint_m)) {
     diagnostics.error("scene.bounds.not_finite", info.name,
-                      "near and far distance of the dataset are " + number(info.near_hint_m) + " and " +
-                          number(info.far_hint_m) + " m; they must be finite",
+                      fmt::format("near and far distance of the dataset are {:.3g} and {:.3g} m; they must be finite",
+                                  info.near_hint_m, info.far_hint_m),
                       "set scene.load.near_m and scene.load.far_m");
   }
   if (!finite(info.bounds))
@@ -487,8 +462,8 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
   if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error("scene.camera.center", place,
-                      fmt::format("principal point ({}, {}) lies far outside the image of {} x {} pixels",
-                                  number(camera.cx), number(camera.cy), camera.width_px, camera.height_px),
+                      fmt::format("principal point ({:.3g}, {:.3g}) lies far outside the image of {} x {} pixels",
+                                  camera.cx, camera.cy, camera.width_px, camera.height_px),
                       "check that the intrinsics belong to images of this size");
   }
   check_wide_lens(camera, place, diagnostics);
@@ -513,26 +488,22 @@ void check_poses_differ(const SceneInfo& info, Diagnostics& diagnostics) {
     if (most == nullptr || frames.size() > most->size()) most = &frames;
   }
   if (most == nullptr) return;
-  const std::string all = std::to_string(info.frames.size());
-  const std::string remedy = "check the export: a tracker that is lost may repeat its last pose";
-  if (most->size() == info.frames.size()) {
-    diagnostics.warning("scene.pose.repeated", info.name, "all " + all + " frames have one pose: nothing shows shape",
-                        remedy);
-  } else {
-    diagnostics.warning("scene.pose.repeated", info.name,
-                        std::to_string(alike) + " of " + all + " frames have the pose of another frame, " +
-                            std::to_string(most->size()) + " that of '" + most->front()->name + "'",
-                        remedy);
-  }
+  const std::size_t all = info.frames.size();
+  diagnostics.warning("scene.pose.repeated", info.name,
+                      most->size() == all
+                          ? fmt::format("all {} frames have one pose: nothing shows shape", all)
+                          : fmt::format("{} of {} frames have the pose of another frame, {} that of '{}'", alike, all,
+                                        most->size(), most->front()->name),
+                      "check the export: a tracker that is lost may repeat its last pose");
 }
 
 bool check_principal_point(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
   const std::string other = other_image(camera);
   if (other.empty()) return true;
   diagnostics.error("scene.camera.size", place,
-                    "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
-                        ") is the middle of an image " + other + " as this one of " + std::to_string(camera.width_px) +
-                        " x " + std::to_string(camera.height_px) + " pixels: the intrinsics are that image's",
+                    fmt::format("principal point ({:.3g}, {:.3g}) is the middle of an image {} as this one of {} x {} "
+                                "pixels: the intrinsics are that image's",
+                                camera.cx, camera.cy, other, camera.width_px, camera.height_px),
                     "state the size that they belong to, or give those of the images as they are stored");
   return false;
 }
