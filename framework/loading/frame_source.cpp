@@ -38,9 +38,8 @@ void check_labels(const FrameBuffer& b, int classes) {
   if (bad == b.label.end()) return;
   const auto at = bad - b.label.begin();
   throw Error(ErrorKind::data, "plugin.dataset.label",
-              "label " + std::to_string(*bad) + " at x " + std::to_string(at % b.width_px) + ", y " +
-                  std::to_string(at / b.width_px) + " is not a class; classes are 0 to " + std::to_string(classes - 1) +
-                  " and void is " + std::to_string(kVoid),
+              fmt::format("label {} at x {}, y {} is not a class; classes are 0 to {} and void is {}", *bad,
+                          at % b.width_px, at / b.width_px, classes - 1, kVoid),
               "this is a defect of the dataset plugin: it maps ids to classes");
 }
 
@@ -127,9 +126,15 @@ bool wants_channel(const SceneLoadOptions& options, const FrameInfo& f, const st
          std::find(options.channels.begin(), options.channels.end(), name) != options.channels.end();
 }
 
+// How many numbers a further channel has.
+template <class Channel>
+std::size_t values_of(const Channel& one) {
+  return pixel_at(0, one.height, one.width) * static_cast<std::size_t>(one.cols);
+}
+
 // What StoredFrame will hold of a frame, if its depth is in whole millimetres.
 std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLoadOptions& options, int classes) {
-  const std::size_t pixels = static_cast<std::size_t>(camera.width_px) * static_cast<std::size_t>(camera.height_px);
+  const std::size_t pixels = pixel_at(0, camera.height_px, camera.width_px);
   std::size_t each = 3;
   if (f.has_labels) each += classes > 254 ? 2 : 1;
   if (f.has_depth && keeps_depth(options, f.split)) each += 2;
@@ -137,46 +142,41 @@ std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLo
   std::size_t bytes = pixels * each;
   for (const FrameChannelInfo& one : f.channels) {
     if (!wants_channel(options, f, one.name)) continue;
-    if (one.name == kAlphaChannel)
-      bytes += pixels;
-    else
-      bytes += static_cast<std::size_t>(one.height) * static_cast<std::size_t>(one.width) *
-               static_cast<std::size_t>(one.cols) * sizeof(float);
+    bytes += one.name == kAlphaChannel ? pixels : values_of(one) * sizeof(float);
   }
   return bytes;
 }
 
 void check_alpha(const FrameChannel& alpha, const FrameInfo& f) {
   if (alpha.width != f.camera.width_px || alpha.height != f.camera.height_px || alpha.cols != 1)
-    throw Error(ErrorKind::data, "scene.alpha.size",
-                "channel 'alpha' is " + size_text(alpha.width, alpha.height) + " with " + std::to_string(alpha.cols) +
-                    " numbers, and the image " + size_text(f.camera.width_px, f.camera.height_px),
-                "give one number for each pixel of the image, 0 to 1");
+    throw Error(
+        ErrorKind::data, "scene.alpha.size",
+        fmt::format("channel 'alpha' is {} with {} numbers, and the image {}", size_text(alpha.width, alpha.height),
+                    alpha.cols, size_text(f.camera.width_px, f.camera.height_px)),
+        "give one number for each pixel of the image, 0 to 1");
   const auto bad = std::find_if(alpha.values.begin(), alpha.values.end(), [](float a) { return a < 0 || a > 1; });
   if (bad == alpha.values.end()) return;
   const auto at = bad - alpha.values.begin();
   throw Error(ErrorKind::data, "scene.alpha.range",
-              "channel 'alpha' is " + shortest_number(static_cast<double>(*bad)) + " at x " +
-                  std::to_string(at % alpha.width) + ", y " + std::to_string(at / alpha.width),
+              fmt::format("channel 'alpha' is {} at x {}, y {}", shortest_number(static_cast<double>(*bad)),
+                          at % alpha.width, at / alpha.width),
               "scale it to 0 (nothing of the subject) to 1 (the subject alone)");
 }
+
+constexpr const char* kDefect = "this is a defect of the dataset plugin";
 
 // Every channel that was asked for, as open() told, and finite.
 void check_channels(const FrameBuffer& b, const FrameInfo& f, std::size_t wanted) {
   if (b.channels.size() != wanted)
     throw Error(ErrorKind::internal, "plugin.dataset.channels",
-                "dataset delivered other channels than those that were wanted",
-                "this is a defect of the dataset plugin");
+                "dataset delivered other channels than those that were wanted", kDefect);
   for (const FrameChannel& one : b.channels) {
     const auto told = std::find_if(f.channels.begin(), f.channels.end(),
                                    [&](const FrameChannelInfo& info) { return info.name == one.name; });
-    const auto size =
-        static_cast<std::size_t>(one.height) * static_cast<std::size_t>(one.width) * static_cast<std::size_t>(one.cols);
     if (told == f.channels.end() || told->height != one.height || told->width != one.width || told->cols != one.cols ||
-        one.values.size() != size)
+        one.values.size() != values_of(one))
       throw Error(ErrorKind::internal, "plugin.dataset.channels",
-                  "dataset delivered another channel '" + one.name + "' than open() told",
-                  "this is a defect of the dataset plugin");
+                  "dataset delivered another channel '" + one.name + "' than open() told", kDefect);
     if (!std::all_of(one.values.begin(), one.values.end(), [](float v) { return std::isfinite(v); }))
       throw Error(ErrorKind::data, "scene.channel.not_finite",
                   "channel '" + one.name + "' holds a value that is not finite", "write 0 where nothing is known");
@@ -185,14 +185,13 @@ void check_channels(const FrameBuffer& b, const FrameInfo& f, std::size_t wanted
 }
 
 void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
-  const std::size_t pixels = static_cast<std::size_t>(f.camera.width_px) * static_cast<std::size_t>(f.camera.height_px);
+  const std::size_t pixels = pixel_at(0, f.camera.height_px, f.camera.width_px);
   const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
   if (b.width_px != f.camera.width_px || b.height_px != f.camera.height_px || b.rgb.size() != pixels * 3 ||
       !fits(b.depth_m.size(), f.has_depth) || !fits(b.label.size(), f.has_labels) ||
-      !fits(b.instance.size(), f.has_instances) || !fits(b.used.size(), !b.used.empty())) {
+      !fits(b.instance.size(), f.has_instances) || !fits(b.used.size(), !b.used.empty()))
     throw Error(ErrorKind::internal, "plugin.dataset.channels",
-                "dataset delivered other channels or sizes than open() told", "this is a defect of the dataset plugin");
-  }
+                "dataset delivered other channels or sizes than open() told", kDefect);
 }
 
 constexpr double kMostDistance_m = 1e12, kMostCoordinate_m = 1e13;
@@ -231,21 +230,24 @@ StrayCamera stray_camera(const LoadedScene& scene) {
 
 // What is derived keeps to the limits of what can be written: a run stores it as settings, and reads it again.
 void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
-  double reach = 0, camera_at = 0;
+  double reach = 0;
   bool finite = std::isfinite(scene.far_m);
   for (int a = 0; a < 3; ++a) {
     finite = finite && std::isfinite(scene.bounds.lo[a]) && std::isfinite(scene.bounds.hi[a]);
     reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
   }
   if (!finite || scene.bounds.empty()) return;  // reported already
-  if (const StrayCamera stray = stray_camera(scene); stray.frame != nullptr) {
-    diagnostics.error("scene.pose.far", frame_place(*stray.frame),
-                      "its camera is " + shortest_number(stray.away_m) + (scene.info.metric ? " m" : " units") +
-                          " from the middle of the others, more than " + shortest_number(kStray) +
-                          (stray.sees_too_near ? " times as far as what cameras see" : " times as far as they are"),
-                      "leave the stray pose out");
-    return;
-  }
+  const auto with_unit = [&](double value) { return shortest_number(value) + (scene.info.metric ? " m" : " units"); };
+  if (const StrayCamera stray = stray_camera(scene); stray.frame != nullptr)
+    return diagnostics.error("scene.pose.far", frame_place(*stray.frame),
+                             fmt::format("its camera is {} from the middle of the others, more than {} times as far as "
+                                         "{}",
+                                         with_unit(stray.away_m), shortest_number(kStray),
+                                         stray.sees_too_near ? "what cameras see" : "they are"),
+                             "leave the stray pose out");
+  if (scene.far_m <= kMostDistance_m && reach <= kMostCoordinate_m) return;
+  std::string remedy = "leave a stray pose out, or divide all poses and depths by one factor";
+  double camera_at = 0;
   const FrameInfo* farthest = nullptr;
   for (const FrameInfo& frame : scene.info.frames) {
     const double at = length(frame.world_from_camera.t);
@@ -253,19 +255,16 @@ void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
     camera_at = at;
     farthest = &frame;
   }
-  if (scene.far_m <= kMostDistance_m && reach <= kMostCoordinate_m) return;
-  const std::string unit = scene.info.metric ? " m" : " units";
-  const std::string found = scene.far_m > kMostDistance_m
-                                ? "far is " + shortest_number(scene.far_m) + unit + " (from " + scene.near_far_from +
-                                      "), at most " + shortest_number(kMostDistance_m) + " are sampled"
-                                : "coordinates reach " + shortest_number(reach) + unit + " (bounds from " +
-                                      scene.bounds_from + "), at most " + shortest_number(kMostCoordinate_m) +
-                                      " are used";
-  diagnostics.error("scene.pose.far", scene.info.name, found,
-                    (farthest == nullptr ? std::string()
-                                         : "the farthest camera is that of " + frame_place(*farthest) + ", " +
-                                               shortest_number(camera_at) + unit + " from the origin: ") +
-                        "leave a stray pose out, or divide all poses and depths by one factor");
+  if (farthest != nullptr)
+    remedy = fmt::format("the farthest camera is that of {}, {} from the origin: {}", frame_place(*farthest),
+                         with_unit(camera_at), remedy);
+  diagnostics.error("scene.pose.far", scene.info.name,
+                    scene.far_m > kMostDistance_m
+                        ? fmt::format("far is {} (from {}), at most {} are sampled", with_unit(scene.far_m),
+                                      scene.near_far_from, shortest_number(kMostDistance_m))
+                        : fmt::format("coordinates reach {} (bounds from {}), at most {} are used", with_unit(reach),
+                                      scene.bounds_from, shortest_number(kMostCoordinate_m)),
+                    remedy);
 }
 
 }  // namespace
@@ -305,21 +304,18 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
-  if (p.downscale != 1 && (p.width_px > 0 || p.height_px > 0)) {
+  if (p.downscale != 1 && (p.width_px > 0 || p.height_px > 0))
     diagnostics.error("config.value.conflict", "scene.load.downscale",
                       "downscale and width_px or height_px exclude each other", "keep one of them");
-  }
   if (p.near_m > 0 && p.far_m > 0 && p.near_m >= p.far_m)
     diagnostics.error("config.value.order", "scene.load.near_m", "near_m must be below far_m", "swap them");
-  if (!p.bounds.empty() && p.bounds.size() != 6) {
+  if (!p.bounds.empty() && p.bounds.size() != 6)
     diagnostics.error("config.value.length", "scene.load.bounds",
                       "expected 6 numbers, got " + std::to_string(p.bounds.size()), "write [x0, y0, z0, x1, y1, z1]");
-  }
-  for (std::size_t i = 0; i < 3 && p.bounds.size() == 6; ++i) {
+  for (std::size_t i = 0; i < 3 && p.bounds.size() == 6; ++i)
     if (!(p.bounds[i] < p.bounds[i + 3]))
       diagnostics.error("config.value.order", "scene.load.bounds",
                         "the first corner must be below the second on every axis", "swap them");
-  }
 }
 
 bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera& out) {
@@ -347,18 +343,17 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
   out.instance = at_nearest_pixels(frame.instance, from, to);
   out.used = reduced_mask(frame.used, from, to);
   out.channels = frame.channels;  // their grids are their own, but that of alpha
-  for (FrameChannel& one : out.channels) {
-    if (one.name != kAlphaChannel) continue;
-    one = alpha_channel(width, height, resize_area({one.width, one.height, 1, alpha_bytes(one)}, width, height).pixels);
-  }
+  for (FrameChannel& one : out.channels)
+    if (one.name == kAlphaChannel)
+      one =
+          alpha_channel(width, height, resize_area({one.width, one.height, 1, alpha_bytes(one)}, width, height).pixels);
   return out;
 }
 
 std::vector<int> LoadedScene::frames_of(Split split) const {
   std::vector<int> out;
-  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+  for (std::size_t i = 0; i < info.frames.size(); ++i)
     if (info.frames[i].split == split) out.push_back(static_cast<int>(i));
-  }
   return out;
 }
 
@@ -380,11 +375,10 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");
   if (frames.empty() && !diagnostics.has_errors())
     diagnostics.error("scene.frames.none", scene.info.name, "the scene has no frames", "check the path");
-  if (frames.size() == 1 && options.pixels && !diagnostics.has_errors()) {
+  if (frames.size() == 1 && options.pixels && !diagnostics.has_errors())
     diagnostics.error("scene.frames.single", frame_place(frames[0]),
                       "is the only frame of the scene; shape needs views from several places",
                       "give two frames at least, better some dozens");
-  }
   scene.frames.resize(frames.size());
   scene.depth_pixels.resize(frames.size());
   // Why there are no classes is told already; every labelled frame would only tell it again.
@@ -393,9 +387,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
 
   // A frame whose files already failed a check would only fail again.
   std::set<std::string> failed;
-  for (const Diagnostic& d : diagnostics.all()) {
+  for (const Diagnostic& d : diagnostics.all())
     if (d.severity == Severity::error) failed.insert(d.where);
-  }
   std::vector<std::optional<Error>> errors(frames.size());
   std::vector<std::optional<UnknownLabelError>> unknown(frames.size());
   bool stretched = false;
@@ -405,8 +398,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (failed.count(place) > 0) continue;
     if (!scaled_camera(frames[i].camera, options, cameras[i])) {
       diagnostics.error("scene.load.size", place,
-                        "frame is " + size_text(frames[i].camera.width_px, frames[i].camera.height_px) +
-                            " pixels, smaller than the size asked for",
+                        fmt::format("frame is {} x {} pixels, smaller than the size asked for",
+                                    frames[i].camera.width_px, frames[i].camera.height_px),
                         "ask for at most the stored size");
       continue;
     }
@@ -419,9 +412,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
                         "give scene.load.width_px or scene.load.height_px alone");
 
   if (!options.pixels) {
-    for (std::size_t i = 0; i < frames.size(); ++i) {
+    for (std::size_t i = 0; i < frames.size(); ++i)
       if (cameras[i].width_px > 0) frames[i].camera = cameras[i];
-    }
     scene.class_pixels.resize(frames.size());
     scene.near_m = options.near_m;
     scene.far_m = options.far_m;
@@ -430,9 +422,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     return scene;
   }
   std::int64_t train_pixels = 0;
-  for (std::size_t i = 0; i < frames.size(); ++i) {
+  for (std::size_t i = 0; i < frames.size(); ++i)
     if (frames[i].split == Split::train) train_pixels += std::int64_t{cameras[i].width_px} * cameras[i].height_px;
-  }
   if (options.before_pixels) {
     std::size_t bytes = 0;
     for (std::size_t i = 0; i < frames.size(); ++i)
@@ -663,12 +654,9 @@ RayCounts count_rays(const LoadedScene& scene, const std::vector<int>& usable) {
 // An error where the share is 0, else a warning.
 void report(Code code, double share, const std::string& key, const std::string& what, const std::string& remedy,
             Diagnostics& diagnostics) {
-  if (share == 0) {
-    diagnostics.error(code, key, "none of " + what, remedy);
-  } else {
-    diagnostics.warning(code, key,
-                        fmt::format("only {:.4g} % of {}", std::max(0.1, std::round(1000 * share) / 10), what), remedy);
-  }
+  if (share == 0) return diagnostics.error(code, key, "none of " + what, remedy);
+  diagnostics.warning(code, key, fmt::format("only {:.4g} % of {}", std::max(0.1, std::round(1000 * share) / 10), what),
+                      remedy);
 }
 
 std::string set_near_far(double near, double far) {
@@ -691,32 +679,29 @@ void check_rays(const LoadedScene& scene, const std::vector<int>& usable, const 
   const std::string span =
       fmt::format("near {:.4g} and far {:.4g} (from {})", scene.near_m, scene.far_m, scene.near_far_from);
   const bool box_met = share(counts.meet_box) >= kFew;
-  if (counts.rays > 0 && !box_met && !seen.taken) {
+  if (counts.rays > 0 && !box_met && !seen.taken)
     return report("scene.bounds.missed", share(counts.meet_box), "scene.load.bounds",
-                  "the rays of the training cameras can meet the bounds " + box_text(scene.bounds) + " (from " +
-                      scene.bounds_from + ")",
+                  fmt::format("the rays of the training cameras can meet the bounds {} (from {})",
+                              box_text(scene.bounds), scene.bounds_from),
                   "the data suggest --set 'scene.load.bounds=" + box_text(seen.box) + "'", diagnostics);
-  }
   if (!seen.distances.empty()) {
     const auto inside = std::count_if(seen.distances.begin(), seen.distances.end(),
                                       [&](float t) { return t >= scene.near_m && t <= scene.far_m; });
     const double part = static_cast<double>(inside) / static_cast<double>(seen.distances.size());
     const auto [nearest, farthest] = std::minmax_element(seen.distances.begin(), seen.distances.end());
-    if (part < kFew) {
+    if (part < kFew)
       return report("scene.bounds.near_far", part, "scene.load.near_m",
                     "the depth of the training frames is between " + span,
                     fmt::format("depth lies from {:.4g} to {:.4g}: ", *nearest, *farthest) +
                         set_near_far(0.5 * *nearest, 1.05 * *farthest),
                     diagnostics);
-    }
   }
-  if (box_met && share(counts.sampled) < kFew) {
+  if (box_met && share(counts.sampled) < kFew)
     report("scene.bounds.near_far", share(counts.sampled), "scene.load.near_m",
            "the rays of the training cameras can be inside the bounds between " + span,
            fmt::format("rays are inside from {:.4g} to {:.4g}: ", counts.nearest, counts.farthest) +
                set_near_far(std::max(counts.nearest, 0.01 * counts.farthest), counts.farthest),
            diagnostics);
-  }
 }
 
 constexpr std::size_t kFewestCorners = 100;
@@ -901,10 +886,9 @@ void tell_of_guess(const LoadedScene& scene, const SceneLoadOptions& options, Di
     const auto& [lo, hi] = scene.rig.seen;
     diagnostics.warning(
         "scene.bounds.guessed", "scene.load.bounds",
-        fmt::format(
-            "{}; the cameras stand around one place and see it together within [{:.3g}, {:.3g}, {:.3g}, {:.3g}, "
-            "{:.3g}, {:.3g}]",
-            guess, lo.x, lo.y, lo.z, hi.x, hi.y, hi.z),
+        fmt::format("{}; the cameras stand around one place and see it together within [{:.3g}, {:.3g}, {:.3g}, "
+                    "{:.3g}, {:.3g}, {:.3g}]",
+                    guess, lo.x, lo.y, lo.z, hi.x, hi.y, hi.z),
         "where the background matters include presets/unbounded.yaml; where only the subject does, set "
         "scene.load.bounds to that box");
   } else if (options.probe_steps == 0) {
@@ -944,25 +928,22 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   }
   seen.survey = survey_depth(surveyed);
   seen.has_depth = seen.survey.valid > 0;
-  if (seen.has_depth) {
+  if (seen.has_depth)
     seen.covered = static_cast<double>(seen.survey.valid) / static_cast<double>(seen.survey.looked_at);
-  }
   if (!seen.has_depth || options.contracted) scene.rig = find_rig(seen.cameras);
-  if (!seen.has_depth && !options.contracted) {
+  if (!seen.has_depth && !options.contracted)
     scene.plain_background = find_plain_background(seen.cameras, pixels, scene.rig);
-  }
   if (!seen.has_depth && !scene.plain_background && scene.corners.x.size() >= kFewestCorners)
     seen.corners = extent_of_points({scene.corners}, kCornerMargin);
   derive_distances(scene, seen, options);
   // Where both are asked for, validate() compares them. Where one is, it may lie beyond what the other was derived to
   // be.
   const bool both_given = options.near_m > 0 && options.far_m > 0;
-  if (!both_given && (!(scene.near_m < scene.far_m) || !std::isfinite(scene.far_m))) {
+  if (!both_given && (!(scene.near_m < scene.far_m) || !std::isfinite(scene.far_m)))
     diagnostics.error("scene.bounds.near_far", "scene.load.near_m",
                       fmt::format("near is {:.3g} m and far is {:.3g} m: no part of a ray lies between them",
                                   scene.near_m, scene.far_m),
                       "set scene.load.near_m below scene.load.far_m");
-  }
   derive_bounds(scene, seen, options, diagnostics);
   std::vector<float> focal;
   for (const FrameInfo* camera : seen.cameras) focal.push_back(static_cast<float>(camera->camera.fx));
