@@ -2,6 +2,7 @@
 #include "loading/packed_scene.h"
 
 #include <fcntl.h>
+#include <fmt/format.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <zlib.h>
@@ -107,11 +108,14 @@ void flags(Stream& s, std::initializer_list<bool*> bits) {
   for (bool* bit : bits) *bit = (byte >> at++ & 1u) != 0;
 }
 
+template <class Stream, class... Number>
+void numbers(Stream& s, Number&... values) {
+  (s.number(values), ...);
+}
+
 template <class Stream>
 void vector3(Stream& s, Vec3d& v) {
-  s.number(v.x);
-  s.number(v.y);
-  s.number(v.z);
+  numbers(s, v.x, v.y, v.z);
 }
 
 // A number of an enumeration up to `last`.
@@ -130,9 +134,7 @@ void walk_frame(Stream& s, std::uint32_t version, FrameInfo& f, Chunks& chunks) 
   s.text(f.name);
   s.text(f.source);
   Camera& c = f.camera;
-  s.number(c.width_px);
-  s.number(c.height_px);
-  for (double* v : {&c.fx, &c.fy, &c.cx, &c.cy, &c.k1, &c.k2, &c.k3, &c.k4, &c.p1, &c.p2}) s.number(*v);
+  numbers(s, c.width_px, c.height_px, c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2);
   if (version > 1) choice(s, c.lens, LensKind::equirectangular, "lens");
   if (version > 2) {
     auto orientation = static_cast<std::uint8_t>(f.orientation);
@@ -142,18 +144,12 @@ void walk_frame(Stream& s, std::uint32_t version, FrameInfo& f, Chunks& chunks) 
                   "pack the scene again");
     f.orientation = orientation;
   }
-  for (auto& row : f.world_from_camera.r) {
-    for (double& v : row) s.number(v);
-  }
+  for (auto& [x, y, z] : f.world_from_camera.r) numbers(s, x, y, z);
   vector3(s, f.world_from_camera.t);
   choice(s, f.split, Split::unused, "split");
   for (std::size_t i = 0; i < (version > 1 ? PackedScene::kChannels : PackedScene::kUsed); ++i) {
     PackedScene::Chunk& k = chunks[i];
-    s.number(k.offset);
-    s.number(k.stored_bytes);
-    s.number(k.raw_bytes);
-    s.number(k.crc);
-    s.number(k.format);
+    numbers(s, k.offset, k.stored_bytes, k.raw_bytes, k.crc, k.format);
   }
 }
 
@@ -162,15 +158,14 @@ void walk(Stream& s, std::uint32_t version, SceneInfo& info, std::vector<ClassEn
           std::vector<Chunks>& chunks) {
   s.text(info.name);
   flags(s, {&info.metric, &info.opengl_files, &info.tracked});
-  s.number(info.near_hint_m);
-  s.number(info.far_hint_m);
+  numbers(s, info.near_hint_m, info.far_hint_m);
   vector3(s, info.bounds.lo);
   vector3(s, info.bounds.hi);
   s.list(classes, 12);
   for (ClassEntry& e : classes) {
     s.number(e.id);
     s.text(e.name);
-    for (std::uint8_t& c : e.color) s.number(c);
+    numbers(s, e.color[0], e.color[1], e.color[2]);
     flags(s, {&e.ignore});
   }
   s.list(info.frames, 200);
@@ -225,9 +220,8 @@ struct Header {
 };
 static_assert(sizeof(Header) == kHeaderBytes);
 
-std::uint32_t crc_of(const Header& h) {
-  return crc32c(std::as_bytes(std::span<const Header, 1>(&h, 1)).first(kHeaderBytes - 4));
-}
+std::span<const std::byte> bytes_of(const Header& h) { return std::as_bytes(std::span<const Header, 1>(&h, 1)); }
+std::uint32_t crc_of(const Header& h) { return crc32c(bytes_of(h).first(kHeaderBytes - 4)); }
 
 // Reads exactly out.size() bytes or tells why not.
 void read_at(int file, std::uint64_t offset, std::span<std::byte> out) {
@@ -243,6 +237,8 @@ void read_at(int file, std::uint64_t offset, std::span<std::byte> out) {
   }
 }
 
+bool has_magic(const std::string& head) { return head.starts_with(std::string_view(kMagic, sizeof kMagic)); }
+
 template <class T>
 std::vector<T> typed(const std::vector<std::byte>& bytes) {
   std::vector<T> out(bytes.size() / sizeof(T));
@@ -257,7 +253,7 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
                         const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options) {
   AtomicFile file(path);
   Header header{};
-  file.append(std::as_bytes(std::span<const Header, 1>(&header, 1)));
+  file.append(bytes_of(header));
   std::vector<Chunks> chunks(info.frames.size());
   FrameBuffer frame;
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
@@ -278,15 +274,14 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
   SceneInfo copy = info;
   std::vector<ClassEntry> classes = info.classes.entries();
   Writer manifest;
-  const bool is_old =
-      std::all_of(chunks.begin(), chunks.end(),
-                  [](const Chunks& of) {
-                    return of[PackedScene::kUsed].raw_bytes == 0 && of[PackedScene::kAlpha].raw_bytes == 0;
-                  }) &&
-      std::none_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.camera.is_wide(); });
-  const bool is_turned =
-      std::any_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.orientation != 1; });
-  header.version = is_turned ? kPackedVersion : is_old ? 1 : 2;
+  header.version = 1;
+  for (std::size_t i = 0; i < chunks.size(); ++i) {
+    const FrameInfo& f = info.frames[i];
+    const bool masked = chunks[i][PackedScene::kUsed].raw_bytes > 0,
+               alpha = chunks[i][PackedScene::kAlpha].raw_bytes > 0;
+    if (masked || alpha || f.camera.is_wide()) header.version = std::max(header.version, 2u);
+    if (f.orientation != 1) header.version = kPackedVersion;
+  }
   walk(manifest, header.version, copy, classes, chunks);
   std::memcpy(header.magic, kMagic, sizeof kMagic);
   header.frames = static_cast<std::uint32_t>(info.frames.size());
@@ -296,17 +291,9 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
   file.append(manifest.bytes);
   header.file_bytes = file.size();
   header.header_crc = crc_of(header);
-  file.overwrite(0, std::as_bytes(std::span<const Header, 1>(&header, 1)));
+  file.overwrite(0, bytes_of(header));
   file.commit();
 }
-
-namespace {
-
-bool has_magic(const std::string& head) {
-  return head.size() >= sizeof kMagic && std::memcmp(head.data(), kMagic, sizeof kMagic) == 0;
-}
-
-}  // namespace
 
 bool is_packed_scene(const std::string& path) { return has_magic(read_file_start(path, sizeof kMagic)); }
 
@@ -324,28 +311,23 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   std::memcpy(&header, head.data(), kHeaderBytes);
   if (crc_of(header) != header.header_crc)
     throw refuse("scene.packed.damaged", "header is damaged (wrong checksum)", "copy the file again");
-  if (header.version < 1 || header.version > kPackedVersion) {
+  if (header.version < 1 || header.version > kPackedVersion)
     throw refuse("scene.packed.version",
-                 "format version " + std::to_string(header.version) + "; this build reads versions up to " +
-                     std::to_string(kPackedVersion),
+                 fmt::format("format version {}; this build reads versions up to {}", header.version, kPackedVersion),
                  again);
-  }
   file_ = open_for_reading(path_);
   struct stat about {};
   naming(path_, [&] {
     if (::fstat(file_, &about) != 0)
       throw refuse("files.read.failed", std::string("cannot read: ") + std::strerror(errno), "check the disk");
     file_bytes_ = static_cast<std::uint64_t>(about.st_size);
-    if (file_bytes_ != header.file_bytes) {
-      throw refuse(
-          "scene.packed.damaged",
-          "holds " + std::to_string(file_bytes_) + " bytes, its header says " + std::to_string(header.file_bytes),
-          "copy the file again");
-    }
+    if (file_bytes_ != header.file_bytes)
+      throw refuse("scene.packed.damaged",
+                   fmt::format("holds {} bytes, its header says {}", file_bytes_, header.file_bytes),
+                   "copy the file again");
     if (header.manifest_bytes > kMaxManifestBytes || header.manifest_offset > file_bytes_ ||
-        header.manifest_bytes > file_bytes_ - header.manifest_offset) {
+        header.manifest_bytes > file_bytes_ - header.manifest_offset)
       throw refuse("scene.packed.damaged", "manifest lies outside the file", again);
-    }
     std::vector<std::byte> manifest(header.manifest_bytes);
     read_at(file_, header.manifest_offset, manifest);
     if (crc32c(manifest) != header.manifest_crc)
@@ -360,8 +342,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
     for (std::size_t i = 0; i < info_.frames.size(); ++i) {
       FrameInfo& f = info_.frames[i];
       check_image_limits(f.camera.width_px, f.camera.height_px);
-      const std::uint64_t pixels =
-          static_cast<std::uint64_t>(f.camera.width_px) * static_cast<std::uint64_t>(f.camera.height_px);
+      const std::uint64_t pixels = pixel_at(0, f.camera.height_px, f.camera.width_px);
       for (std::size_t c = 0; c < kChannels; ++c) {
         const Chunk& k = chunks_[i][c];
         const std::uint64_t expected =
@@ -370,10 +351,9 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
         const bool sized =
             k.raw_bytes == expected &&
             ((k.format & kDeflated) != 0 ? k.raw_bytes / 1032 <= k.stored_bytes : k.stored_bytes == k.raw_bytes);
-        if (k.raw_bytes == 0 ? c == kColor : !fits || !sized) {
+        if (k.raw_bytes == 0 ? c == kColor : !fits || !sized)
           throw refuse("scene.packed.damaged",
-                       "frame '" + f.name + "': " + kChannelNames[c] + " has an impossible size", again);
-        }
+                       fmt::format("frame '{}': {} has an impossible size", f.name, kChannelNames[c]), again);
       }
       f.has_depth = chunks_[i][kDepth].raw_bytes > 0;
       f.has_labels = chunks_[i][kLabel].raw_bytes > 0;
@@ -387,8 +367,8 @@ std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) cons
   const Chunk& chunk = chunks_[static_cast<std::size_t>(frame)][channel];
   const auto fail = [&](const char* what) {
     return Error(ErrorKind::data, "scene.packed.damaged",
-                 "'" + path_ + "': frame '" + info_.frames[static_cast<std::size_t>(frame)].name +
-                     "': " + kChannelNames[channel] + what,
+                 fmt::format("'{}': frame '{}': {}{}", path_, info_.frames[static_cast<std::size_t>(frame)].name,
+                             kChannelNames[channel], what),
                  "copy the file again, or pack the scene again");
   };
   if (chunk.raw_bytes == 0) return {};
@@ -424,14 +404,11 @@ void PackedScene::read(int frame, FrameBuffer& out) const {
   if (!info.channels.empty() && std::find(wanted.begin(), wanted.end(), kAlphaChannel) != wanted.end())
     out.channels.push_back(alpha_channel(out.width_px, out.height_px, typed<std::uint8_t>(chunk_bytes(frame, kAlpha))));
   const int classes = info_.classes.valid_count();
-  for (const std::int16_t c : out.label) {
-    if (c < kVoid || c >= classes) {
+  for (const std::int16_t c : out.label)
+    if (c < kVoid || c >= classes)
       throw Error(ErrorKind::data, "scene.packed.damaged",
-                  "'" + path_ + "': frame '" + info.name + "': label index " + std::to_string(c) +
-                      " is outside the class table",
+                  fmt::format("'{}': frame '{}': label index {} is outside the class table", path_, info.name, c),
                   "pack the scene again");
-    }
-  }
 }
 
 }  // namespace semfield

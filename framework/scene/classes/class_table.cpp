@@ -12,6 +12,7 @@
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 #include <span>
 #include <string>
@@ -34,8 +35,9 @@ constexpr std::int32_t kMaxId = 65535;  // what a 16-bit label image can hold
 // A whole number of at least `low` and at most `high`.
 bool parse_int(std::string_view text, std::int32_t& out, std::int32_t low = std::numeric_limits<std::int32_t>::min(),
                std::int32_t high = std::numeric_limits<std::int32_t>::max()) {
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
-  return status == std::errc{} && end == text.data() + text.size() && out >= low && out <= high;
+  const std::optional<std::int32_t> number = to_number<std::int32_t>(text);
+  out = number.value_or(out);
+  return number && out >= low && out <= high;
 }
 
 // As a table has it that tells neither colours nor what is void.
@@ -113,11 +115,10 @@ ClassTable load_csv(const std::string& path) {
              {"blue", "b"},
              {"ignore", "ignored", "void"},
              {"color", "colour", "rgb", "hex"}});
-  for (const auto& [column, name] : {std::pair{kId, "id"}, std::pair{kName, "name"}}) {
+  for (const auto& [column, name] : {std::pair{kId, "id"}, {kName, "name"}})
     if (!table.header.empty() && table.has[column] == 0)
-      refuse("classes.table.format", table.header, std::string("no column '") + name + "'",
+      refuse("classes.table.format", table.header, fmt::format("no column '{}'", name),
              "name the columns id,name or id,name,red,green,blue");
-  }
   std::vector<ClassEntry> entries;
   for (const TextRow& row : table.rows) entries.push_back(csv_entry(row, table.has[kIgnore] != 0));
   if (entries.empty()) refuse("classes.table.format", path, "no classes in it", kCsvRemedy);
@@ -142,11 +143,10 @@ ClassTable load_json(const std::string& path) {
   bool has_zero = false;
   for (const nlohmann::json& item : *list) {
     if (!item.is_object() || !item.contains("id") || !item["id"].is_number_integer() || !item.contains("name") ||
-        !item["name"].is_string()) {
+        !item["name"].is_string())
       refuse("classes.table.format", path,
-             "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'",
+             fmt::format("class {} of the list needs an integer 'id' and a text 'name'", entries.size()),
              "export the table again");
-    }
     const auto id = item["id"].get<std::int64_t>();
     if (id < 0) continue;  // Replica writes -1 for "no class"
     if (id > kMaxId)
@@ -169,12 +169,10 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   const std::string place = item.location().text();
   if (!item.is_map()) refuse("classes.table.format", place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
   static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
-  for (const auto& [key, value] : item.entries()) {
-    if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
+  for (const auto& [key, value] : item.entries())
+    if (std::find(keys.begin(), keys.end(), key) == keys.end())
       refuse("config.key.unknown", value.location().text(), "unknown key '" + key + "' of a class",
              near_name_remedy(key, keys, "known: " + join(keys)));
-    }
-  }
   const ConfigNode* id = item.find("id");
   const ConfigNode* name = item.find("name");
   if (id == nullptr) refuse("classes.table.format", place, "a class needs an 'id'", kYamlRemedy);
@@ -223,30 +221,23 @@ ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(ent
                    [](const ClassEntry& a, const ClassEntry& b) { return a.id < b.id; });
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const ClassEntry& e = entries_[i];
-    if (e.id < 0 || e.id > kMaxId) {
-      throw Error(ErrorKind::data, "classes.table.id", "class '" + e.name + "' has id " + std::to_string(e.id),
-                  "ids run from 0 to " + std::to_string(kMaxId));
-    }
-    if (!is_line_of_text(e.name)) {
+    if (e.id < 0 || e.id > kMaxId)
+      throw Error(ErrorKind::data, "classes.table.id", fmt::format("class '{}' has id {}", e.name, e.id),
+                  fmt::format("ids run from 0 to {}", kMaxId));
+    if (!is_line_of_text(e.name))
       throw Error(ErrorKind::data, "classes.name.invalid",
-                  "the name of class " + std::to_string(e.id) + " has control characters or is not UTF-8",
+                  fmt::format("the name of class {} has control characters or is not UTF-8", e.id),
                   "give it a plain name, and save the file as UTF-8");
-    }
-    if (i > 0 && entries_[i - 1].id == e.id) {
-      throw Error(
-          ErrorKind::data, "classes.id.twice",
-          "class id " + std::to_string(e.id) + " is given twice ('" + entries_[i - 1].name + "' and '" + e.name + "')",
-          "keep one of them");
-    }
+    if (i > 0 && entries_[i - 1].id == e.id)
+      throw Error(ErrorKind::data, "classes.id.twice",
+                  fmt::format("class id {} is given twice ('{}' and '{}')", e.id, entries_[i - 1].name, e.name),
+                  "keep one of them");
     if (!e.ignore) valid_.push_back(static_cast<int>(i));
   }
   check_input_limit(std::ssize(valid_), input_limits().classes, "", "classes", "classes");
   if (!entries_.empty()) index_of_.assign(static_cast<std::size_t>(entries_.back().id) + 1, -2);
   for (const ClassEntry& e : entries_) index_of_[static_cast<std::size_t>(e.id)] = kVoid;
-  for (std::size_t c = 0; c < valid_.size(); ++c) {
-    index_of_[static_cast<std::size_t>(entries_[static_cast<std::size_t>(valid_[c])].id)] =
-        static_cast<std::int32_t>(c);
-  }
+  for (int c = 0; c < valid_count(); ++c) index_of_[static_cast<std::size_t>(valid(c).id)] = c;
 }
 
 int ClassTable::index_of(std::int32_t id) const {
@@ -256,10 +247,8 @@ int ClassTable::index_of(std::int32_t id) const {
 
 std::int32_t ClassTable::id_of(int index) const {
   if (index >= 0 && index < valid_count()) return valid(index).id;
-  for (const ClassEntry& e : entries_) {
-    if (e.ignore) return e.id;
-  }
-  return 0;
+  const auto ignored = std::find_if(entries_.begin(), entries_.end(), [](const ClassEntry& e) { return e.ignore; });
+  return ignored == entries_.end() ? 0 : ignored->id;
 }
 
 ClassTable ClassTable::load(const std::string& path) {
@@ -278,10 +267,9 @@ ClassTable ClassTable::load(const std::string& path) {
 
 std::string ClassTable::to_yaml() const {
   std::string out;
-  for (const ClassEntry& e : entries_) {
+  for (const ClassEntry& e : entries_)
     out += fmt::format("- {{id: {}, name: {}, color: [{}, {}, {}], ignore: {}}}\n", e.id, quoted(e.name), e.color[0],
-                       e.color[1], e.color[2], e.ignore ? "true" : "false");
-  }
+                       e.color[1], e.color[2], e.ignore);
   return out.empty() ? "[]\n" : out;
 }
 
@@ -342,9 +330,8 @@ constexpr std::string_view kUnnamed = "unnamed ";
 std::string unnamed_class(std::int32_t id) { return std::string(kUnnamed) + std::to_string(id); }
 
 bool is_unnamed_class(std::string_view name) {
-  if (!name.starts_with(kUnnamed) || name.size() == kUnnamed.size()) return false;
-  name.remove_prefix(kUnnamed.size());
-  return name.find_first_not_of("0123456789") == std::string_view::npos;
+  return name.starts_with(kUnnamed) && name.size() > kUnnamed.size() &&
+         name.find_first_not_of("0123456789", kUnnamed.size()) == std::string_view::npos;
 }
 
 ClassTable named_classes(const ClassTable& classes) {
@@ -420,11 +407,10 @@ void SoftMap::set_row(std::size_t pixel, std::span<const float> probability) {
   const auto width = static_cast<std::size_t>(classes_);
   SEMFIELD_CHECK(probability.size() == width, "row of another width");
   for (std::size_t c = 0; c < width; ++c) {
-    if (!(probability[c] >= 0) || !std::isfinite(probability[c])) {
+    if (!(probability[c] >= 0) || !std::isfinite(probability[c]))
       throw Error(ErrorKind::data, "labels.probability.invalid",
                   fmt::format("probability of class {} at pixel {} is {:f}", c, pixel, probability[c]),
                   "probabilities are finite and not negative");
-    }
     values_[pixel * width + c] = half_of(probability[c]);
   }
 }
@@ -592,17 +578,16 @@ std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
     refuse("classes.tsv.damaged", place, what, remedy);
   };
   if (rows.empty()) damaged(path, "no rows in it");
-  const TextRow& header = rows.front();
-  const std::size_t columns = header.fields.size();
+  const auto& [header, names] = rows.front();
+  const std::size_t columns = names.size();
   // `columns` where there is none.
-  const auto column = [&](std::string_view name) {
-    return static_cast<std::size_t>(std::find(header.fields.begin(), header.fields.end(), name) -
-                                    header.fields.begin());
+  const auto column = [&names = names](std::string_view name) {
+    return static_cast<std::size_t>(std::ranges::find(names, name) - names.begin());
   };
   for (const char* needed : {"id", "raw_category"})
-    if (column(needed) == columns) damaged(header.place, std::string("no column '") + needed + "'");
+    if (column(needed) == columns) damaged(header, fmt::format("no column '{}'", needed));
   if (column("nyu40id") == columns && column("eigen13id") == columns)
-    damaged(header.place, "neither a column 'nyu40id' nor a column 'eigen13id'");
+    damaged(header, "neither a column 'nyu40id' nor a column 'eigen13id'");
 
   // 0 of an empty field, and without the column.
   const auto number_at = [&](const TextRow& row, const char* name, std::int32_t highest) {
@@ -616,24 +601,20 @@ std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
     return value;
   };
   std::vector<ScannetLabel> labels;
-  std::unordered_map<std::int32_t, std::size_t> seen;
+  std::unordered_map<std::int32_t, ScannetLabel> seen;
   for (std::size_t r = 1; r < rows.size(); ++r) {
     const TextRow& row = rows[r];
     if (row.fields.size() != columns)
-      damaged(row.place,
-              std::to_string(row.fields.size()) + " columns, the first line names " + std::to_string(columns));
+      damaged(row.place, fmt::format("{} columns, the first line names {}", row.fields.size(), columns));
     if (row.fields[column("id")].empty()) damaged(row.place, "the row has no id");
     ScannetLabel label{number_at(row, "id", kMaxId), row.fields[column("raw_category")], number_at(row, "nyu40id", 40),
                        number_at(row, "eigen13id", 13)};
-    const auto [first, fresh] = seen.emplace(label.id, labels.size());
-    if (!fresh) {
-      const ScannetLabel& other = labels[first->second];
-      if (other.nyu40id != label.nyu40id || other.eigen13id != label.eigen13id)
-        refuse("classes.id.twice", row.place,
-               "id " + std::to_string(label.id) + " ('" + label.raw_category + "') is given before ('" +
-                   other.raw_category + "') with another class",
-               remedy);
-    }
+    const ScannetLabel& other = seen.emplace(label.id, label).first->second;
+    if (other.nyu40id != label.nyu40id || other.eigen13id != label.eigen13id)
+      refuse("classes.id.twice", row.place,
+             fmt::format("id {} ('{}') is given before ('{}') with another class", label.id, label.raw_category,
+                         other.raw_category),
+             remedy);
     labels.push_back(std::move(label));
   }
   return labels;
