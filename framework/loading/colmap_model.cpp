@@ -1,6 +1,8 @@
 // COLMAP models: lenses, poses, and the text files.
 #include "loading/colmap_model.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -70,21 +72,19 @@ class ColmapBuilder {
       return known.name == model_name && !known.params.empty();
     });
     if (lens == lenses().end()) {
-      std::string names;
+      std::vector<std::string> names;
       for (const Lens& known : lenses())
-        if (!known.params.empty()) names += (names.empty() ? "" : ", ") + std::string(known.name);
+        if (!known.params.empty()) names.emplace_back(known.name);
       return diagnostics_.error(
           "scene.camera.model", place,
-          "camera model '" + std::string(model_name) + "' is not supported (only " + names + ")",
+          fmt::format("camera model '{}' is not supported (only {})", model_name, join(names)),
           "undistort the images with colmap image_undistorter, or reconstruct with another camera model");
     }
-    if (params.size() != lens->params.size()) {
-      return diagnostics_.error("scene.camera.format", place,
-                                "camera model " + std::string(model_name) + " has " +
-                                    std::to_string(lens->params.size()) + " parameters, got " +
-                                    std::to_string(params.size()),
-                                "export the model again");
-    }
+    if (params.size() != lens->params.size())
+      return diagnostics_.error(
+          "scene.camera.format", place,
+          fmt::format("camera model {} has {} parameters, got {}", model_name, lens->params.size(), params.size()),
+          "export the model again");
     const auto whole = [](double v) { return v >= 1 && v <= 65536 && v == std::floor(v); };
     if (!whole(width) || !whole(height))
       return diagnostics_.error("scene.image.size", place, "image size is not a pair of whole numbers from 1 to 65536",
@@ -104,11 +104,10 @@ class ColmapBuilder {
                                 "the name of its image is empty, no UTF-8 or has control characters",
                                 "copy the model again, or give the image a plain name");
     }
-    if (model_.cameras.count(image.camera) == 0) {
+    if (model_.cameras.count(image.camera) == 0)
       return diagnostics_.error("scene.camera.missing", image.place,
-                                "its camera " + std::to_string(image.camera) + " is not in the model",
+                                fmt::format("its camera {} is not in the model", image.camera),
                                 "take cameras and images of the same model");
-    }
     if (const auto [other, fresh] = image_places_.emplace(image.id, image.place); !fresh)
       return diagnostics_.error("scene.index.twice", image.place, "has the id of " + other->second,
                                 "keep one of the two");
@@ -195,17 +194,16 @@ void read_images_text(const std::string& path, ColmapBuilder& out) {
     double pose[7];
     for (std::size_t i = 0; i < 7; ++i) pose[i] = file.real(words[i + 1]);
     ColmapImage image;
-    const std::int64_t id = image.id = file.integer(words[0]);
+    image.id = file.integer(words[0]);
     image.camera = file.integer(words[8]);
     image.name.assign(words[9].data(), words.back().data() + words.back().size());  // names may hold blanks
-    image.place = file.place("image " + std::to_string(id) + " ('" + image.name + "')");
+    image.place = file.place(fmt::format("image {} ('{}')", image.id, image.name));
     if (file.any(line)) {
       const std::vector<std::string_view> points = words_of(line);
-      if (points.size() % 3 != 0) {
-        file.fail("the points of image " + std::to_string(id) + " are " + std::to_string(points.size()) +
-                      " numbers, not triples 'x y point'",
-                  "keep the line of points after each image, even an empty one");
-      }
+      if (points.size() % 3 != 0)
+        file.fail(
+            fmt::format("the points of image {} are {} numbers, not triples 'x y point'", image.id, points.size()),
+            "keep the line of points after each image, even an empty one");
       for (std::size_t i = 2; i < points.size(); i += 3) {
         const std::int64_t point = file.integer(points[i]);
         if (point >= 0) image.points.push_back(point);
@@ -235,10 +233,10 @@ class BinaryFile {
 
   template <class T>
   T take(const std::string& record) {
-    if (left() < sizeof(T)) fail("ends inside " + record, at_);
+    const std::size_t start = at_;
+    skip(sizeof(T), record);
     T value;
-    std::memcpy(&value, bytes_.data() + at_, sizeof(T));
-    at_ += sizeof(T);
+    std::memcpy(&value, bytes_.data() + start, sizeof(T));
     return value;
   }
 
@@ -247,11 +245,9 @@ class BinaryFile {
   std::uint64_t count(const std::string& what, std::size_t bytes_each) {
     const std::size_t start = at_;
     const auto value = take<std::uint64_t>("the number of " + what);
-    if (value > left() / bytes_each) {
-      fail("states " + std::to_string(value) + " " + what + ", but " + std::to_string(left()) +
-               " bytes are left, room for " + std::to_string(left() / bytes_each),
+    if (value > left() / bytes_each)
+      fail(fmt::format("states {} {}, but {} bytes are left, room for {}", value, what, left(), left() / bytes_each),
            start);
-    }
     return value;
   }
 
@@ -273,8 +269,7 @@ class BinaryFile {
   }
 
   [[noreturn]] void fail(const std::string& what, std::size_t offset) const {
-    throw Error(ErrorKind::data, "scene.colmap.damaged",
-                "'" + path_ + "' " + what + " (offset " + std::to_string(offset) + ")",
+    throw Error(ErrorKind::data, "scene.colmap.damaged", fmt::format("'{}' {} (offset {})", path_, what, offset),
                 "copy the model again, or export it again with colmap model_converter");
   }
 
@@ -290,7 +285,7 @@ class BinaryFile {
 void read_cameras(BinaryFile file, ColmapBuilder& out) {
   const std::uint64_t cameras = file.count("cameras", 24 + 3 * sizeof(double));
   for (std::uint64_t i = 0; i < cameras; ++i) {
-    const std::string record = "camera " + std::to_string(i + 1) + " of " + std::to_string(cameras);
+    const std::string record = fmt::format("camera {} of {}", i + 1, cameras);
     const auto id = file.take<std::uint32_t>(record);
     const std::size_t lens_offset = file.offset();
     const auto lens = file.take<std::int32_t>(record);
@@ -309,15 +304,14 @@ void read_cameras(BinaryFile file, ColmapBuilder& out) {
 void read_images(BinaryFile file, ColmapBuilder& out) {
   const std::uint64_t images = file.count("images", 73);
   for (std::uint64_t i = 0; i < images; ++i) {
-    const std::string record = "image " + std::to_string(i + 1) + " of " + std::to_string(images);
+    const std::string record = fmt::format("image {} of {}", i + 1, images);
     ColmapImage image;
-    const auto id = file.take<std::uint32_t>(record);
-    image.id = id;
+    image.id = file.take<std::uint32_t>(record);
     double pose[7];
     for (double& value : pose) value = file.take<double>(record);
     image.camera = file.take<std::uint32_t>(record);
     image.name = file.text(record);
-    image.place = file.path() + ": image " + std::to_string(id) + " ('" + image.name + "')";
+    image.place = fmt::format("{}: image {} ('{}')", file.path(), image.id, image.name);
     const std::uint64_t points = file.count("image points of " + record, 24);
     for (std::uint64_t p = 0; p < points; ++p) {
       file.skip(2 * sizeof(double), record);
@@ -332,7 +326,7 @@ void read_images(BinaryFile file, ColmapBuilder& out) {
 void read_points(BinaryFile file, ColmapBuilder& out) {
   const std::uint64_t points = file.count("points", 51);
   for (std::uint64_t i = 0; i < points; ++i) {
-    const std::string record = "point " + std::to_string(i + 1) + " of " + std::to_string(points);
+    const std::string record = fmt::format("point {} of {}", i + 1, points);
     const std::size_t start = file.offset();
     const auto id = file.take<std::int64_t>(record);
     Vec3d position;

@@ -1,6 +1,8 @@
 // Frames kept as image files.
 #include "loading/frame_files.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cctype>
@@ -28,8 +30,8 @@ template <class T>
 void check_size(const Image<T>& image, const Camera& camera, const std::string& path) {
   if (image.width_px == camera.width_px && image.height_px == camera.height_px) return;
   throw Error(ErrorKind::data, "scene.image.size",
-              "'" + path + "' is " + size_text(image.width_px, image.height_px) + " pixels, the camera " +
-                  size_text(camera.width_px, camera.height_px),
+              fmt::format("'{}' is {} pixels, the camera {}", path, size_text(image.width_px, image.height_px),
+                          size_text(camera.width_px, camera.height_px)),
               "colour, depth and labels of a frame need the size that its camera states");
 }
 
@@ -90,10 +92,11 @@ std::vector<float> read_frame_depth(const Camera& color, const std::string& path
   if (!rules.confidence.empty()) {
     const Image<std::uint16_t> confidence = read_ids(rules.confidence);
     if (confidence.pixels.size() != depth.pixels.size())
-      throw Error(ErrorKind::data, "scene.image.size",
-                  "'" + rules.confidence + "' is " + size_text(confidence.width_px, confidence.height_px) +
-                      " pixels, its depth " + size_text(depth.width_px, depth.height_px),
-                  "export the recording again, or set scene.least_confidence=low");
+      throw Error(
+          ErrorKind::data, "scene.image.size",
+          fmt::format("'{}' is {} pixels, its depth {}", rules.confidence,
+                      size_text(confidence.width_px, confidence.height_px), size_text(depth.width_px, depth.height_px)),
+          "export the recording again, or set scene.least_confidence=low");
     for (std::size_t p = 0; p < depth.pixels.size(); ++p)
       if (confidence.pixels[p] < rules.least) depth.pixels[p] = 0;
   }

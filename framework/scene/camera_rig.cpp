@@ -133,9 +133,8 @@ namespace {
 
 Pose inverse(const Pose& pose) {
   Pose out;
-  for (std::size_t row = 0; row < 3; ++row) {
+  for (std::size_t row = 0; row < 3; ++row)
     for (std::size_t col = 0; col < 3; ++col) out.r[row][col] = pose.r[col][row];
-  }
   out.t = pose.unrotate(pose.t) * -1.0;
   return out;
 }
@@ -192,10 +191,7 @@ constexpr std::size_t kMostFrames = 128;
 using Color = std::array<std::uint8_t, 3>;
 
 bool near_color(const std::uint8_t* pixel, const Color& color) {
-  for (std::size_t c = 0; c < 3; ++c) {
-    if (std::abs(static_cast<int>(pixel[c]) - static_cast<int>(color[c])) > kTolerance) return false;
-  }
-  return true;
+  return std::equal(color.begin(), color.end(), pixel, [](int a, int b) { return std::abs(a - b) <= kTolerance; });
 }
 
 template <class Look>
@@ -275,8 +271,7 @@ struct Silhouettes {
 
   // Box of the voxels of `region` that the frames take for the object.
   Box hull(const Box& region) const {
-    const Vec3d size = region.size();
-    const double radius_m = 0.5 * length(size) / 48;  // of a voxel
+    const double radius_m = 0.5 * length(region.size()) / 48;  // of a voxel
     return box_of_voxels(region, [&](Vec3d center) {
       double seen = 0, background = 0;
       for (std::size_t i = 0; i < cameras.size(); ++i) {
@@ -335,8 +330,7 @@ std::optional<PlainBackground> find_plain_background(const Cameras& cameras,
   const Box coarse = silhouettes.hull({rig.focus - half, rig.focus + half});
   if (coarse.empty()) return std::nullopt;
   out.object = silhouettes.hull(coarse);  // the same number of voxels over less space
-  if (out.object.empty()) return std::nullopt;
-  return out;
+  return out.object.empty() ? std::nullopt : std::optional(out);
 }
 
 }  // namespace semfield

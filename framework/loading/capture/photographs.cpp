@@ -85,9 +85,8 @@ void run_program(const Programs& programs, const std::string& name, const Progra
                 what + " found the disk full: " + said + "; its log is '" + run.log + "'",
                 "free some space; the same command continues");
   throw Error(ErrorKind::failure, "capture.program.failed",
-              what + " failed (" +
-                  (code > 128 ? "signal " + std::to_string(code - 128) : "exit code " + std::to_string(code)) + ")" +
-                  (said.empty() ? "" : ": " + said) + "; its log is '" + run.log + "'",
+              fmt::format("{} failed ({} {}){}; its log is '{}'", what, code > 128 ? "signal" : "exit code",
+                          code > 128 ? code - 128 : code, said.empty() ? "" : ": " + said, run.log),
               run.remedy);
 }
 
@@ -111,10 +110,10 @@ void add_photographs(const fs::path& folder, const std::string& prefix, std::vec
 std::string kinds_text(const std::map<std::string, std::vector<std::string>>& kinds) {
   std::vector<std::string> parts;
   for (const auto& [kind, names] : kinds) {
-    const std::size_t named = std::min<std::size_t>(names.size(), 3);
-    parts.push_back(std::to_string(names.size()) + " of " + kind + " (" +
-                    join({names.begin(), names.begin() + static_cast<std::ptrdiff_t>(named)}) +
-                    (named < names.size() ? ", ..." : "") + ")");
+    std::vector<std::string> named = names;
+    named.resize(std::min<std::size_t>(names.size(), 3));
+    if (named.size() < names.size()) named.emplace_back("...");
+    parts.push_back(fmt::format("{} of {} ({})", names.size(), kind, join(named)));
   }
   return join(parts, " and ");
 }
@@ -171,21 +170,19 @@ CaptureSource look_at_source(const std::string& path) {
     if (inner.size() >= kFewest) out.photographs = inner;
   }
   if (out.photographs.empty()) {
-    for (const fs::directory_entry& entry : sorted_folder(path)) {
+    for (const fs::directory_entry& entry : sorted_folder(path))
       if (entry.is_directory(unknown))
         add_photographs(entry.path(), entry.path().filename().string() + "/", out.photographs);
-    }
     out.camera_per_folder = !out.photographs.empty();
   }
   if (!out.photographs.empty()) return out;
   const std::vector<std::string> videos = files_with(path, kVideos);
-  if (!files_with(path, kHeic).empty()) {
+  if (!files_with(path, kHeic).empty())
     throw Error(
         ErrorKind::data, "capture.photographs.heic",
         "the photographs in '" + path + "' are HEIC, which COLMAP does not read",
         "make JPEG of them with `heif-convert IMG.heic IMG.jpg` (sudo apt install libheif-examples), or set the "
         "phone's camera to \"most compatible\"");
-  }
   throw Error(ErrorKind::no_input, "capture.source.empty", "'" + path + "' holds no photographs",
               videos.empty() ? remedy : "name the video itself: " + shell_word(videos.front()));
 }
@@ -211,7 +208,7 @@ void check_photographs(const CaptureSource& source, Diagnostics& diagnostics) {
   });
   using Kinds = std::map<std::string, std::vector<std::string>>;
   std::map<std::string, Kinds> by_size, by_lens;  // of each folder that is a camera
-  std::vector<std::string> turned;
+  std::size_t turned = 0;
   for (std::size_t i = 0; i < all.size(); ++i) {
     if (errors[i]) {
       diagnostics.error(errors[i]->code(), "", errors[i]->message(),
@@ -221,26 +218,25 @@ void check_photographs(const CaptureSource& source, Diagnostics& diagnostics) {
     const std::string folder = source.camera_per_folder ? all[i].name.substr(0, all[i].name.find('/')) : "";
     by_size[folder][size_text(sizes[i].width_px, sizes[i].height_px)].push_back(all[i].name);
     by_lens[folder][lens_text(tags[i])].push_back(all[i].name);
-    if (sizes[i].orientation != 1) turned.push_back(all[i].name);
+    turned += sizes[i].orientation != 1 ? 1 : 0;
   }
   const std::string apart = "take the few out, or put those of each camera into a folder of its own inside '" +
                             source.path + "': each folder is then one camera";
   for (const auto& [folder, kinds] : by_size) {
     const std::string place = folder.empty() ? source.path : source.path + "/" + folder;
-    if (kinds.size() > 1) {
+    if (kinds.size() > 1)
       diagnostics.error("capture.photographs.sizes", place, "photographs of several sizes: " + kinds_text(kinds),
                         apart);
-    } else if (by_lens[folder].size() > 1) {
+    else if (by_lens[folder].size() > 1)
       diagnostics.error("capture.photographs.cameras", place,
                         "photographs of several cameras or zooms: " + kinds_text(by_lens[folder]), apart);
-    }
   }
-  if (!turned.empty()) {
-    diagnostics.note("scene.image.orientation", source.path,
-                     std::to_string(turned.size()) + " of " + std::to_string(all.size()) +
-                         " photographs have an EXIF orientation by which viewers turn them; here pixels count as they "
-                         "are stored, as the sensor saw them");
-  }
+  if (turned > 0)
+    diagnostics.note(
+        "scene.image.orientation", source.path,
+        fmt::format("{} of {} photographs have an EXIF orientation by which viewers turn them; here pixels "
+                    "count as they are stored, as the sensor saw them",
+                    turned, all.size()));
 }
 
 double sharpness(std::span<const std::uint8_t> grey, std::int32_t width) {
@@ -267,10 +263,9 @@ double sharpness_of(const std::string& photograph) {
   Image<std::uint8_t> image = read_rgb(photograph);
   constexpr std::int32_t kLongest = 1024;
   const std::int32_t longest = std::max(image.width_px, image.height_px);
-  if (longest > kLongest) {
+  if (longest > kLongest)
     image = resize_area(image, std::max(1, image.width_px * kLongest / longest),
                         std::max(1, image.height_px * kLongest / longest));
-  }
   std::vector<std::uint8_t> grey;
   grey.reserve(image.pixels.size() / 3);
   for (std::size_t i = 0; i + 2 < image.pixels.size(); i += 3)
@@ -427,12 +422,11 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
   fs::remove(small);
   out.still = choice.still;
   out.blurred = choice.blurred;
-  if (choice.kept.size() < 3) {
+  if (choice.kept.size() < 3)
     throw Error(ErrorKind::data, "capture.video.still",
                 fmt::format("'{}' has {} different frames of {} looked at: {} intervals are still, {} blurred",
                             cut.video, choice.kept.size(), out.looked_at, choice.still, choice.blurred),
                 "walk around the scene slowly while filming");
-  }
   const auto kept = static_cast<double>(choice.kept.size());
   const auto file_of = [&](std::size_t number) { return fmt::format("{}/{:06}.jpg", cut.folder, number); };
   std::size_t written = 0;

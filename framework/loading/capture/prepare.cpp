@@ -31,18 +31,17 @@ using Json = nlohmann::ordered_json;
 
 PrepareState::PrepareState(std::string file, std::string identity)
     : file_(std::move(file)), identity_(std::move(identity)) {
-  if (!std::filesystem::exists(file_)) {
+  if (!fs::exists(file_)) {
     write();
     return;
   }
   const Json root = Json::parse(read_text_file(file_), nullptr, false);
   const bool ours = root.is_object() && root.contains("made_from") && root["made_from"] == identity_ &&
                     root.contains("steps") && root["steps"].is_object();
-  if (!ours) {
+  if (!ours)
     throw Error(ErrorKind::cannot_create, "capture.scene.other",
                 "the scene of '" + file_ + "' was begun from other photographs or with other options",
                 "name another folder with --out, or remove this one");
-  }
   for (const auto& [step, found] : root["steps"].items())
     steps_[step] = found.is_string() ? found.get<std::string>() : "";
 }
@@ -77,10 +76,9 @@ void PrepareState::write() const {
 
 PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prepare") {
   std::error_code unknown;
-  if (is_there(scene) && !is_there(prepare_) && !fs::is_empty(scene, unknown)) {
+  if (is_there(scene) && !is_there(prepare_) && !fs::is_empty(scene, unknown))
     throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
                 "name another folder with --out");
-  }
   create_folders(logs());
   create_folders(work());
   if (const int cause = lock_.take(prepare_); cause == EWOULDBLOCK)
@@ -94,9 +92,8 @@ PrepareState PrepareFolder::steps(const std::string& text) const { return {prepa
 
 std::vector<Pair> all_pairs(std::size_t count) {
   std::vector<Pair> out;
-  for (std::size_t apart = 1; apart < count; ++apart) {
+  for (std::size_t apart = 1; apart < count; ++apart)
     for (std::size_t i = 0; i + apart < count; ++i) out.emplace_back(i, i + apart);
-  }
   return out;
 }
 
@@ -226,9 +223,8 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
     if (e.kind() != ErrorKind::failure || log_text(file).find("sparse model") == std::string::npos) throw;
   }
   std::vector<std::string> out;
-  for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
+  for (const fs::directory_entry& entry : sorted_folder(folder.string()))
     if (fs::exists(entry.path() / "images.bin")) out.push_back(entry.path().string());
-  }
   return out;
 }
 
@@ -261,21 +257,12 @@ struct Attempt {
 constexpr double kPhotographFocal = 1.2, kFisheyeFocal = 0.4;
 
 std::vector<Attempt> ladder(bool is_fisheye) {
-  const auto quick = [](const char* name, const char* lens, double focal) {
-    return FeatureSettings{name, lens, focal, 1024, 2048, 1, 0.0067};
-  };
-  const auto patient = [](const char* name, const char* lens, double focal) {
-    return FeatureSettings{name, lens, focal, 1600, 6144, 2, 0.004};
-  };
-  const auto steps = [](const FeatureSettings& first, const FeatureSettings& last) {
-    return std::vector<Attempt>{{first, false, false}, {first, true, false}, {last, true, true}};
-  };
-  const FeatureSettings wide = patient("fisheye", "OPENCV_FISHEYE", kFisheyeFocal);
-  if (is_fisheye) return steps(quick("fisheye_quick", "OPENCV_FISHEYE", kFisheyeFocal), wide);
-  std::vector<Attempt> all =
-      steps(quick("quick", "SIMPLE_RADIAL", kPhotographFocal), patient("patient", "OPENCV", kPhotographFocal));
-  all.push_back({wide, true, true});
-  return all;
+  const FeatureSettings quick{"quick", "SIMPLE_RADIAL", kPhotographFocal, 1024, 2048, 1, 0.0067},
+      patient{"patient", "OPENCV", kPhotographFocal, 1600, 6144, 2, 0.004},
+      wide_quick{"fisheye_quick", "OPENCV_FISHEYE", kFisheyeFocal, 1024, 2048, 1, 0.0067},
+      wide{"fisheye", "OPENCV_FISHEYE", kFisheyeFocal, 1600, 6144, 2, 0.004};
+  if (is_fisheye) return {{wide_quick, false, false}, {wide_quick, true, false}, {wide, true, true}};
+  return {{quick, false, false}, {quick, true, false}, {patient, true, true}, {wide, true, true}};
 }
 
 // How much nearer to the middle than without distortion a lens shows what lies at the left or the upper border of its
@@ -408,9 +395,8 @@ std::vector<std::string> settle_model(const std::string& model, const FeatureSet
 
 // "photographs 12 to 19 (a.jpg to h.jpg)".
 std::string range_text(const std::vector<std::string>& names, std::size_t first, std::size_t last) {
-  if (first == last) return "photograph " + std::to_string(first + 1) + " (" + names[first] + ")";
-  return "photographs " + std::to_string(first + 1) + " to " + std::to_string(last + 1) + " (" + names[first] + " to " +
-         names[last] + ")";
+  if (first == last) return fmt::format("photograph {} ({})", first + 1, names[first]);
+  return fmt::format("photographs {} to {} ({} to {})", first + 1, last + 1, names[first], names[last]);
 }
 
 // What is said before an attempt that follows another.
@@ -449,14 +435,13 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
     models.erase(models.begin());
     out.others = std::move(models);
   }
-  if (out.best.images.size() < 3) {
+  if (out.best.images.size() < 3)
     throw Error(ErrorKind::data, "capture.poses.none",
-                "COLMAP found no poses: no " + std::string(out.best.images.empty() ? "two" : "three") + " of the " +
-                    std::to_string(task.names.size()) + " photographs share enough of what they show, in " +
-                    std::to_string(out.attempts) + " attempts",
+                fmt::format("COLMAP found no poses: no {} of the {} photographs share enough of what they show, in {} "
+                            "attempts",
+                            out.best.images.empty() ? "two" : "three", count, out.attempts),
                 "take more photographs, each showing two thirds of what the one before shows, sharp, of things with "
                 "texture, and walk rather than turn on the spot");
-  }
   if (is_new) {
     state.forget("refined");
     need_matches(*best, task, colmap, state);
@@ -496,11 +481,9 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
     if (cause == nullptr) continue;
     std::size_t last = i;
     while (last + 1 < names.size() && why(names[last + 1]) == cause) ++last;
-    std::string between = "take some between";
-    if (i > 0 && last + 1 < names.size())
-      between += " photographs " + std::to_string(i) + " and " + std::to_string(last + 2);
-    else
-      between += " them and the others";
+    const std::string between = i > 0 && last + 1 < names.size()
+                                    ? fmt::format("take some between photographs {} and {}", i, last + 2)
+                                    : "take some between them and the others";
     const bool one = i == last;
     const char *were = one ? "was" : "were", *are = one ? "is" : "are", *them = one ? "it" : "them",
                *s = one ? "s" : "";
@@ -545,9 +528,8 @@ std::vector<std::string> misplaced_images(const ColmapModel& model, const std::v
   std::map<std::string, const ColmapImage*> by_name;
   for (const ColmapImage& image : model.images) by_name[image.name] = &image;
   std::vector<const ColmapImage*> images;  // with a pose, in the order in which they were taken
-  for (const std::string& name : names) {
+  for (const std::string& name : names)
     if (const auto found = by_name.find(name); found != by_name.end()) images.push_back(found->second);
-  }
   std::vector<std::string> out;
   if (images.size() < 2 * kLongestRun) return out;
   const auto apart = [&](std::size_t a, std::size_t b) {
@@ -603,11 +585,11 @@ struct Folders {
 
 // All that the steps depend on.
 std::string identity_of(const CaptureSource& source, const PrepareOptions& options) {
-  std::string out = source.path + "\nframes " + std::to_string(options.frames) + "\n";
+  std::string out = fmt::format("{}\nframes {}\n", source.path, options.frames);
   const auto add = [&](const std::string& name, const std::string& path) {
     std::error_code unknown;
-    out += name + " " + std::to_string(fs::file_size(path, unknown)) + " " +
-           std::to_string(fs::last_write_time(path, unknown).time_since_epoch().count()) + "\n";
+    out += fmt::format("{} {} {}\n", name, fs::file_size(path, unknown),
+                       fs::last_write_time(path, unknown).time_since_epoch().count());
   };
   if (options.fisheye) out += "fisheye\n";
   if (source.video) add("video", source.path);
@@ -632,7 +614,7 @@ std::vector<std::string> plain_names(const std::vector<Photograph>& photographs)
   const auto free_name = [&](const fs::path& wanted) {
     fs::path name = wanted;
     for (int k = 2; !taken.insert(name).second; ++k)
-      name = wanted.parent_path() / (wanted.stem().string() + "_" + std::to_string(k) + wanted.extension().string());
+      name = wanted.parent_path() / fmt::format("{}_{}{}", wanted.stem().string(), k, wanted.extension().string());
     return name;
   };
   std::map<fs::path, fs::path> folders{{"", ""}};
@@ -704,14 +686,12 @@ std::vector<std::string> blurred_among_missing(const std::vector<std::string>& n
     return std::binary_search(model.images.begin(), model.images.end(), name);
   };
   std::vector<double> of_posed;
-  for (std::size_t i = 0; i < names.size(); ++i) {
+  for (std::size_t i = 0; i < names.size(); ++i)
     if (has_pose(names[i])) of_posed.push_back(sharp[i]);
-  }
   const double least = kBlurredShare * median_of(of_posed);
   std::vector<std::string> out;
-  for (std::size_t i = 0; i < names.size(); ++i) {
+  for (std::size_t i = 0; i < names.size(); ++i)
     if (!has_pose(names[i]) && sharp[i] < least) out.push_back(names[i]);
-  }
   return out;
 }
 
@@ -727,8 +707,7 @@ void publish(const FoundModel& model, const Folders& folders) {
   fs::remove_all(old);
   std::error_code failed;
   if (fs::exists(folders.model)) fs::rename(folders.model, old, failed);
-  if (failed) throw write_error("rename", folders.model.string(), failed.value());
-  fs::rename(fresh, folders.model, failed);
+  if (!failed) fs::rename(fresh, folders.model, failed);
   if (failed) throw write_error("rename", folders.model.string(), failed.value());
   sync_folder_of(folders.model.string());
 }
@@ -740,9 +719,8 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   const CaptureSource source = look_at_source(options.source);
   check_photographs(source, report.findings);
   report.findings.throw_if_errors(ErrorKind::data, "the photographs cannot be one scene:");
-  for (const char* name : {"colmap", "ffmpeg", "ffprobe"}) {
+  for (const char* name : {"colmap", "ffmpeg", "ffprobe"})
     if (source.video || std::string_view(name) == "colmap") (void)program_file(programs, name);
-  }
   const std::string scene = fs::absolute(options.out).lexically_normal().string();
   if (!source.video && (scene + "/").starts_with(source.path + "/"))
     throw Error(ErrorKind::cannot_create, "capture.scene.inside",
@@ -781,9 +759,8 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
     publish(found.best, folders);
     state.mark("published", refined);
   }
-  for (const fs::directory_entry& entry : sorted_folder(folders.work.string())) {
+  for (const fs::directory_entry& entry : sorted_folder(folders.work.string()))
     if (entry.path().extension() == ".db") fs::remove(entry.path());
-  }
   return report;
 }
 
