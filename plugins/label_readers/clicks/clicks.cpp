@@ -1,7 +1,10 @@
 // Clicks: pixels that somebody has named, in a CSV file or a log of label events.
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <filesystem>
 #include <optional>
+#include <tuple>
 
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
@@ -29,12 +32,10 @@ Click click_of(const TextRow& row) {
   const std::vector<std::string>& f = row.fields;
   Click click{row.place, f[3], 0, 0, 0};
   if (f[0].empty()) refuse_labels("labels.clicks.format", row.place, "no frame is named", kRemedy);
-  if (!parse_whole(f[1], click.x))
-    refuse_labels("labels.clicks.format", row.place, "x: expected a whole number of pixels, got '" + f[1] + "'",
-                  kRemedy);
-  if (!parse_whole(f[2], click.y))
-    refuse_labels("labels.clicks.format", row.place, "y: expected a whole number of pixels, got '" + f[2] + "'",
-                  kRemedy);
+  for (const auto& [name, field, into] : {std::tuple{'x', f[1], &click.x}, {'y', f[2], &click.y}})
+    if (!parse_whole(field, *into))
+      refuse_labels("labels.clicks.format", row.place,
+                    fmt::format("{}: expected a whole number of pixels, got '{}'", name, field), kRemedy);
   if (f[3].empty()) refuse_labels("labels.clicks.format", row.place, "no class is named", kRemedy);
   if (!f[4].empty() && (!parse_real(f[4], click.radius_px) || click.radius_px < 0 || click.radius_px > kMaxCoordinate))
     refuse_labels("labels.clicks.format", row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'",
@@ -93,8 +94,8 @@ class EventFrames {
         strays.push_back("'" + name + "'");
     if (!strays.empty())
       diagnostics.warning("labels.frame.unmatched", file_,
-                          std::to_string(strays.size()) + " of " + std::to_string(frame_of_.size()) +
-                              " frames with clicks are not in the scene, such as " + strays.front(),
+                          fmt::format("{} of {} frames with clicks are not in the scene, such as {}", strays.size(),
+                                      frame_of_.size(), strays.front()),
                           "give the log of a run of this scene");
   }
   bool empty() const { return frame_of_.empty(); }
@@ -112,9 +113,8 @@ class EventFrames {
     camera.height_px = frame.camera.height_px;
     const Annotations sum = replay(scene, 0, events_, file_);
     LabelRaster raster{camera.width_px, camera.height_px, sum.paint(found->second, {}), {}, true};
-    for (std::int16_t& label : raster.hard) {
+    for (std::int16_t& label : raster.hard)
       if (label != kVoid) label = static_cast<std::int16_t>(classes.index_of(sum.classes().valid(label).id));
-    }
     return raster;
   }
 
@@ -150,10 +150,8 @@ class ClickReader : public LabelReader {
                                                    {"y", "row", "v"},
                                                    {"class", "label", "name", "class_name", "category"},
                                                    {"radius", "r"}});
-    for (std::size_t c = 0; c < 4 && !table.header.empty(); ++c) {
-      if (table.has[c] == 0)
-        refuse_labels("labels.clicks.format", table.header, "expected columns frame, x, y and class", kRemedy);
-    }
+    if (!table.header.empty() && std::find(table.has.begin(), table.has.begin() + 4, 0) != table.has.begin() + 4)
+      refuse_labels("labels.clicks.format", table.header, "expected columns frame, x, y and class", kRemedy);
     ProblemList problems(diagnostics);
     std::map<std::string, std::string> place_of_name;
     for (const TextRow& row : table.rows) {
@@ -194,13 +192,11 @@ class ClickReader : public LabelReader {
                  scale_y = static_cast<double>(raster.height_px) / size.height_px;
     const ClassNames names(classes);
     for (const Click& click : clicks_.at(found->second)) {
-      if (click.x < 0 || click.y < 0 || click.x >= size.width_px || click.y >= size.height_px) {
+      if (click.x < 0 || click.y < 0 || click.x >= size.width_px || click.y >= size.height_px)
         refuse_labels("labels.shape.outside", click.place,
-                      "pixel (" + std::to_string(click.x) + ", " + std::to_string(click.y) +
-                          ") lies outside the image of " + std::to_string(size.width_px) + " x " +
-                          std::to_string(size.height_px),
+                      fmt::format("pixel ({}, {}) lies outside the image of {} x {}", click.x, click.y, size.width_px,
+                                  size.height_px),
                       "columns and rows are counted from 0");
-      }
       const std::int16_t index = names.index_of(click.label, click.place);
       const PixelPoint center{(static_cast<double>(click.x) + 0.5) * scale_x,
                               (static_cast<double>(click.y) + 0.5) * scale_y};

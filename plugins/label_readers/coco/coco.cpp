@@ -1,8 +1,8 @@
 // COCO: one JSON file with images, annotations and categories.
+#include <fmt/format.h>
+
 #include <algorithm>
-#include <filesystem>
 #include <nlohmann/json.hpp>
-#include <optional>
 
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
@@ -39,11 +39,10 @@ class CocoReader : public LabelReader {
     images_.clear();
     image_of_frame_.clear();
     const Json root = read_label_json<Json>(file, "export the annotations again");
-    for (const char* key : {"images", "annotations", "categories"}) {
+    for (const char* key : {"images", "annotations", "categories"})
       if (!root.is_object() || !root.contains(key) || !root[key].is_array())
-        refuse_labels("labels.file.format", file, std::string("no list '") + key + "' in it",
+        refuse_labels("labels.file.format", file, fmt::format("no list '{}' in it", key),
                       "give a COCO file of instances");
-    }
     ProblemList problems(diagnostics);
     std::map<std::int64_t, std::size_t> image_of_id;
     std::map<std::int64_t, std::string> categories = read_categories(root["categories"], problems);
@@ -64,18 +63,16 @@ class CocoReader : public LabelReader {
         if (name == categories.end())
           refuse_labels("labels.annotation.reference", place, "no category has the id " + std::to_string(category));
         ++uses[category];
-        if (!read_annotation(item, place, name->second, image_of_id)) {
+        if (read_annotation(item, place, name->second, image_of_id))
+          place_of_name.emplace(name->second, fmt::format("{} (category {})", place, category));
+        else
           ++boxes;
-          return;
-        }
-        place_of_name.emplace(name->second, place + " (category " + std::to_string(category) + ")");
       });
     }
-    if (boxes > 0) {
+    if (boxes > 0)
       diagnostics.warning("labels.annotation.box", file,
-                          std::to_string(boxes) + " annotations have a box and no mask; left out",
+                          fmt::format("{} annotations have a box and no mask; left out", boxes),
                           "export masks or polygons for them");
-    }
     merge_namesakes(categories, uses, diagnostics);
     if (known.empty()) return own_table(categories, problems);
     return table_for(place_of_name, known, problems);
@@ -135,18 +132,16 @@ class CocoReader : public LabelReader {
       const auto [other, fresh] = kept.emplace(name, id);
       if (!fresh && used(id) > used(other->second)) other->second = id;
     }
-    for (auto at = categories.begin(); at != categories.end();) {
-      const std::int64_t id = kept.at(at->second);
-      if (id == at->first) {
-        ++at;
-        continue;
-      }
-      diagnostics.note("classes.name.twice", file,
-                       "categories " + std::to_string(std::min(id, at->first)) + " and " +
-                           std::to_string(std::max(id, at->first)) + " are both called '" + at->second +
-                           "': they are one class here, with the id " + std::to_string(id));
-      at = categories.erase(at);
-    }
+    std::erase_if(categories, [&](const auto& category) {
+      const auto& [own, name] = category;
+      const std::int64_t id = kept.at(name);
+      if (id != own)
+        diagnostics.note("classes.name.twice", file,
+                         fmt::format("categories {} and {} are both called '{}': they are one class here, with the id "
+                                     "{}",
+                                     std::min(id, own), std::max(id, own), name, id));
+      return id != own;
+    });
   }
 
   void read_image(const Json& item, const std::string& place, std::map<std::int64_t, std::size_t>& image_of_id) {

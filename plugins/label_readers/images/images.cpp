@@ -1,4 +1,7 @@
 // Label images: ids, palette indices or exact colours, one file a frame.
+#include <fmt/format.h>
+
+#include <algorithm>
 #include <array>
 #include <filesystem>
 #include <span>
@@ -22,11 +25,7 @@ namespace {
 
 using Rgb = std::array<std::uint8_t, 3>;
 
-std::string text_of(Rgb c) {
-  std::string out = "(";
-  out += std::to_string(c[0]) + ", " + std::to_string(c[1]) + ", " + std::to_string(c[2]);
-  return out += ")";
-}
+std::string text_of(Rgb c) { return fmt::format("({}, {}, {})", c[0], c[1], c[2]); }
 
 bool is_palette_png(const std::string& path) {
   const std::string start = read_file_start(path, 26);
@@ -44,9 +43,8 @@ std::vector<NamedColor> read_colors(const std::string& path) {
   std::map<Rgb, std::string> seen;
   const TextTable table = read_text_table(
       path, {{"r", "red"}, {"g", "green"}, {"b", "blue"}, {"name", "class", "class_name", "label", "category"}});
-  for (std::size_t c = 0; c < 4 && !table.header.empty(); ++c) {
-    if (table.has[c] == 0) refuse_labels("labels.colors.format", table.header, "expected columns r, g, b and name");
-  }
+  if (!table.header.empty() && std::ranges::find(table.has, 0) != table.has.end())
+    refuse_labels("labels.colors.format", table.header, "expected columns r, g, b and name");
   for (const TextRow& row : table.rows) {
     if (row.fields[3].empty()) refuse_labels("labels.colors.format", row.place, "expected 'r,g,b,name'");
     NamedColor entry{{}, row.fields[3], row.place};
@@ -122,12 +120,10 @@ class ImageLabelReader : public LabelReader {
                     "set kind: ids or color");
     const ImageSize size = image_size(path);  // before anything is unpacked on the word of its header
     check_label_shape(size.width_px, size.height_px, found.frame.camera);
-    if (kind != LabelImageKind::color && size.channels > 1) {
-      refuse_labels(
-          "labels.image.channels", "'" + path + "'",
-          "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
-          "read the classes from the colours with --set scene.labels.from.kind=color");
-    }
+    if (kind != LabelImageKind::color && size.channels > 1)
+      refuse_labels("labels.image.channels", "'" + path + "'",
+                    fmt::format("has {} channels: it is a picture in colours, not one of class ids", size.channels),
+                    "read the classes from the colours with --set scene.labels.from.kind=color");
     LabelRaster raster = kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
     raster.as_stored = found.as_stored;
     return raster;
@@ -145,14 +141,11 @@ class ImageLabelReader : public LabelReader {
     // Ids in the order of the file, colours as it gives them.
     std::vector<std::string> names;
     std::map<std::string, Rgb> color_of_name;
-    for (const NamedColor& color : colors_) {
+    for (const NamedColor& color : colors_)
       if (color_of_name.emplace(color.name, color.color).second) names.push_back(color.name);
-    }
-    const ClassTable built = table_of_names(names);
-    std::vector<ClassEntry> entries = built.entries();
-    for (ClassEntry& entry : entries) {
+    std::vector<ClassEntry> entries = table_of_names(names).entries();
+    for (ClassEntry& entry : entries)
       if (const auto own = color_of_name.find(entry.name); own != color_of_name.end()) entry.color = own->second;
-    }
     return ClassTable(std::move(entries));
   }
 
@@ -166,11 +159,10 @@ class ImageLabelReader : public LabelReader {
     std::map<Rgb, std::string> owner;
     for (const ClassEntry& entry : table.entries()) {
       const auto [other, fresh] = owner.emplace(entry.color, entry.name);
-      if (!fresh) {
+      if (!fresh)
         refuse_labels("labels.colors.twice", "class table",
                       "'" + other->second + "' and '" + entry.name + "' have the same colour " + text_of(entry.color),
                       "give each class its own colour, or name a table of colours in scene.labels.from.file");
-      }
       index.emplace(entry.color, static_cast<std::int16_t>(table.index_of(entry.id)));
     }
     return index;

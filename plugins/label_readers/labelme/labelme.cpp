@@ -1,4 +1,6 @@
 // labelme: one JSON file per frame.
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -80,19 +82,17 @@ Shape shape_of(const Json& item, std::string place) {
   }
   const ShapeRule& rule = kShapes[static_cast<std::size_t>(shape.kind)];
   if (const std::size_t count = shape.points.size(); count < rule.least || count > rule.most)
-    refuse_labels("labels.shape.points", shape.place,
-                  std::string("a ") + rule.name + " of " + std::to_string(count) + " points", rule.remedy);
+    refuse_labels("labels.shape.points", shape.place, fmt::format("a {} of {} points", rule.name, count), rule.remedy);
   return shape;
 }
 
 std::int32_t size_of(const Json& root, const char* key, const std::string& path) {
   const auto value = root.find(key);
   if (value == root.end() || !value->is_number_integer() || value->get<std::int64_t>() < 1 ||
-      value->get<std::int64_t>() > 1 << 20) {
+      value->get<std::int64_t>() > 1 << 20)
     refuse_labels("labels.file.format", path,
-                  std::string("'") + key + "' is " + (value == root.end() ? "missing" : value->dump()),
+                  fmt::format("'{}' is {}", key, value == root.end() ? "missing" : value->dump()),
                   "save the file again in labelme: it writes the size of the image");
-  }
   return value->get<std::int32_t>();
 }
 
@@ -108,8 +108,7 @@ void paint_shape(const Shape& shape, std::int16_t index, LabelRaster& raster) {
       return paint(disc_runs(p[0], std::hypot(p[1].x - p[0].x, p[1].y - p[0].y), w, h), index, raster);
     case ShapeKind::point: {
       if (p[0].x < 0 || p[0].y < 0 || p[0].x > w || p[0].y > h)
-        refuse_labels("labels.shape.outside", shape.place,
-                      "the point lies outside the image of " + std::to_string(w) + " x " + std::to_string(h));
+        refuse_labels("labels.shape.outside", shape.place, "the point lies outside the image of " + size_text(w, h));
       const auto x = std::min(static_cast<std::int32_t>(p[0].x), w - 1);
       const auto y = std::min(static_cast<std::int32_t>(p[0].y), h - 1);
       return paint({{y, x, x + 1}}, index, raster);

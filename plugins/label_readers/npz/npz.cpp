@@ -1,6 +1,8 @@
 // Class probabilities of a network, as NumPy arrays: one .npz or .npy file a frame.
 #include "formats/npz.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -56,15 +58,11 @@ std::vector<std::string> read_class_order(const std::string& path) {
     refuse_labels("labels.order.format", path, "not valid JSON: " + json_cause(e.what()), kOrderRemedy);
   }
   std::vector<std::string> names;
-  if (root.is_object()) {
-    names = names_of_map(root, path);
-  } else if (root.is_array()) {
-    for (const Json& item : root) {
-      if (!item.is_string())
-        refuse_labels("labels.order.format", path, "entry " + std::to_string(names.size() + 1) + " is not text",
-                      kOrderRemedy);
-      names.push_back(item.get<std::string>());
-    }
+  if (root.is_object()) names = names_of_map(root, path);
+  for (const Json& item : root.is_array() ? root : Json::array()) {
+    if (!item.is_string())
+      refuse_labels("labels.order.format", path, fmt::format("entry {} is not text", names.size() + 1), kOrderRemedy);
+    names.push_back(item.get<std::string>());
   }
   if (names.empty()) refuse_labels("labels.order.format", path, "no class names in it", kOrderRemedy);
   std::vector<std::string> sorted = names;
@@ -125,28 +123,25 @@ class NpzReader : public LabelReader {
     const FramesFiles::File found = files_.of(shown, "array");
     const std::string& path = found.path;
     const auto accept = [&](std::span<const std::int64_t> shape) {
-      if (shape.size() != 3) {
+      if (shape.size() != 3)
         throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape),
                     "save an array [height, width, classes]");
-      }
-      if (shape[2] != std::ssize(order_)) {
+      if (shape[2] != std::ssize(order_))
         throw Error(ErrorKind::data, "labels.array.classes",
-                    std::to_string(shape[2]) + " classes, '" + order_path_ + "' names " + std::to_string(order_.size()),
+                    fmt::format("{} classes, '{}' names {}", shape[2], order_path_, order_.size()),
                     "name every class of the last axis, in its order");
-      }
       check_image_limits(shape[1], shape[0]);
       check_label_shape(shape[1], shape[0], found.frame.camera);
     };
     const NumpyArray probability = is_npy() ? read_npy(path, accept) : NpzFile(path).read(key, accept);
     NumpyArray confidence;
-    if (!confidence_key.empty()) {
+    if (!confidence_key.empty())
       confidence = NpzFile(path).read(confidence_key, [&](std::span<const std::int64_t> shape) {
         if (shape.size() == 2 && shape[0] == probability.shape[0] && shape[1] == probability.shape[1]) return;
         throw Error(ErrorKind::data, "labels.array.shape",
                     "the shape is " + shape_text(shape) + ", that of '" + key + "' " + shape_text(probability.shape),
                     "save a confidence [height, width]");
       });
-    }
     LabelRaster raster = soft_raster(probability, confidence.values, path, table);
     raster.as_stored = found.as_stored;
     return raster;
@@ -155,7 +150,7 @@ class NpzReader : public LabelReader {
   std::string folder, pattern = "{name}.npz", key = "probability", classes, confidence_key;
 
  private:
-  bool is_npy() const { return pattern.size() > 4 && pattern.substr(pattern.size() - 4) == ".npy"; }
+  bool is_npy() const { return pattern.size() > 4 && pattern.ends_with(".npy"); }
 
   LabelRaster soft_raster(const NumpyArray& probability, const std::vector<float>& confidence, const std::string& path,
                           const ClassTable& table) const {
@@ -188,7 +183,7 @@ class NpzReader : public LabelReader {
                                         const std::string& what) {
     const auto w = static_cast<std::size_t>(width);
     refuse_labels("labels.probability.invalid", "'" + path + "'",
-                  "pixel x " + std::to_string(pixel % w) + ", y " + std::to_string(pixel / w) + ": " + what,
+                  fmt::format("pixel x {}, y {}: {}", pixel % w, pixel / w, what),
                   "save probabilities (after softmax): not negative, in all at most 1");
   }
 
