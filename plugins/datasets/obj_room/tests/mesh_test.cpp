@@ -190,17 +190,12 @@ RenderSettings quick() {
   return s;
 }
 
-std::vector<std::int16_t> room_classes(const TriangleMesh& mesh) {
-  std::vector<std::int16_t> out;
-  for (const std::int32_t object : mesh.object_of) out.push_back(class_of_object(object));
-  return out;
-}
-
 MeshRenderer room_renderer() {
-  TriangleMesh mesh = room_mesh();
-  std::vector<std::int16_t> classes = room_classes(mesh);
+  const TriangleMesh mesh = room_mesh();
+  std::vector<std::int16_t> classes;
+  for (const std::int32_t object : mesh.object_of) classes.push_back(class_of_object(object));
   Diagnostics d;
-  return MeshRenderer(std::move(mesh), std::move(classes), quick(), d);
+  return MeshRenderer(mesh, std::move(classes), quick(), d);
 }
 
 TEST(MeshRender, DepthClassAndInstanceOfEveryPixelAreExact) {
@@ -242,10 +237,7 @@ TEST(MeshRender, SamePixelsForAnyNumberOfThreadsAndAnotherFrameAnotherNoise) {
   renderer.render(camera, pose, 7, two);
   set_thread_count(0);
   renderer.render(camera, pose, 8, other);
-  EXPECT_EQ(one.rgb, two.rgb);
-  EXPECT_EQ(one.depth_m, two.depth_m);
-  EXPECT_EQ(one.label, two.label);
-  EXPECT_EQ(one.instance, two.instance);
+  expect_same(one, two);
   EXPECT_EQ(one.depth_m, other.depth_m);
   EXPECT_NE(one.rgb, other.rgb);
 }

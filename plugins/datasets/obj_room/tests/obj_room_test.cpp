@@ -95,14 +95,9 @@ TEST(ObjRoomShipped, TrainAndTestFramesAreDistinctAndSpread) {
   }
 }
 
-/// A folder with the closed-form room and six cameras on a slide along +x that look along +y.
 std::string room_folder() {
   const std::string folder = fresh_folder("room");
-  plain_write(folder + "/room.obj", room_text());
-  plain_write(folder + "/classes.yaml", kRoomClasses);
-  std::string cameras;
-  for (int i = 0; i < 6; ++i) cameras += "1 0 0 " + std::to_string(-0.5 + 0.2 * i) + " 0 0 1 -1 0 -1 0 1.2\n";
-  plain_write(folder + "/cameras.txt", cameras);
+  write_room(folder);
   return folder;
 }
 
@@ -290,15 +285,21 @@ TEST(Capture, VoidStaysVoidWhereTheTableHasNoVoid) {
   round_trip(wall, 2, fresh_folder("out"));
 }
 
-TEST(Capture, DepthIsMended) {
-  Wall wall;
-  const std::string folder = fresh_folder("out");
-  app::capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
+// The first frame of a captured folder.
+FrameBuffer first_of(const std::string& folder) {
   Diagnostics d;
   NamedDataset replica = captured(folder);
   replica.open(d);
   FrameBuffer f;
   replica.read(0, f);
+  return f;
+}
+
+TEST(Capture, DepthIsMended) {
+  Wall wall;
+  const std::string folder = fresh_folder("out");
+  app::capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
+  const FrameBuffer f = first_of(folder);
   EXPECT_NEAR(f.depth_m[0], 2 * wall.frame.depth_m[0], 1e-3);
 }
 
@@ -310,11 +311,7 @@ TEST(Capture, InstancesBeyondAByteAndDepthBeyondTheRange) {
   wall.frame.depth_m[2] = 65.534f;
   wall.frame.depth_m[3] = 0;
   app::capture_replica(wall, wall.info, folder);
-  Diagnostics d;
-  NamedDataset replica = captured(folder);
-  replica.open(d);
-  FrameBuffer f;
-  replica.read(0, f);
+  const FrameBuffer f = first_of(folder);
   EXPECT_EQ(f.instance, wall.frame.instance);
   EXPECT_EQ(f.depth_m[0], 0);
   EXPECT_EQ(f.depth_m[1], 0);
@@ -384,19 +381,13 @@ class CastCacheTest : public testing::Test {
   }
   static void expect_equal(const std::vector<FrameBuffer>& a, const std::vector<FrameBuffer>& b) {
     ASSERT_EQ(a.size(), b.size());
-    for (std::size_t i = 0; i < a.size(); ++i) {
-      EXPECT_EQ(a[i].rgb, b[i].rgb);
-      EXPECT_EQ(a[i].depth_m, b[i].depth_m);
-      EXPECT_EQ(a[i].label, b[i].label);
-      EXPECT_EQ(a[i].instance, b[i].instance);
-    }
+    for (std::size_t i = 0; i < a.size(); ++i) expect_same(a[i], b[i]);
   }
   std::vector<fs::path> kept() const {
     std::vector<fs::path> files;
     if (!fs::exists(folder_)) return files;
-    for (const auto& entry : fs::recursive_directory_iterator(folder_)) {
+    for (const auto& entry : fs::recursive_directory_iterator(folder_))
       if (entry.is_regular_file()) files.push_back(entry.path());
-    }
     std::sort(files.begin(), files.end());
     return files;
   }

@@ -44,6 +44,22 @@ inline std::string room_text() {
   return obj.str();
 }
 
+/// Writes that room with its classes, and six cameras on a slide along +x that look along +y.
+inline void write_room(const std::string& folder) {
+  plain_write(folder + "/room.obj", room_text());
+  plain_write(folder + "/classes.yaml", kRoomClasses);
+  std::string cameras;
+  for (int i = 0; i < 6; ++i) cameras += "1 0 0 " + std::to_string(-0.5 + 0.2 * i) + " 0 0 1 -1 0 -1 0 1.2\n";
+  plain_write(folder + "/cameras.txt", cameras);
+}
+
+inline void expect_same(const FrameBuffer& a, const FrameBuffer& b) {
+  EXPECT_EQ(a.rgb, b.rgb);
+  EXPECT_EQ(a.depth_m, b.depth_m);
+  EXPECT_EQ(a.label, b.label);
+  EXPECT_EQ(a.instance, b.instance);
+}
+
 inline TriangleMesh load_text(const std::string& text, Diagnostics& diagnostics) {
   const std::string path = fresh_folder("mesh") + "/mesh.obj";
   plain_write(path, text);
