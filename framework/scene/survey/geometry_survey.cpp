@@ -506,10 +506,9 @@ Pose relative_pose(const SceneInfo& as_opened, const PoseConvention& convention,
   const Pose a = converted_pose(as_opened.frames[from].world_from_camera, convention, as_opened.opengl_files);
   const Pose b = converted_pose(as_opened.frames[to].world_from_camera, convention, as_opened.opengl_files);
   Pose out;
-  for (std::size_t col = 0; col < 3; ++col) {
-    const Vec3d axis = b.unrotate(a.axis(static_cast<int>(col)));
-    for (std::size_t row = 0; row < 3; ++row) out.r[row][col] = axis[static_cast<int>(row)];
-  }
+  for (std::size_t row = 0; row < 3; ++row)
+    for (std::size_t col = 0; col < 3; ++col)
+      out.r[row][col] = dot(b.axis(static_cast<int>(row)), a.axis(static_cast<int>(col)));
   out.t = b.apply_inverse(a.t);
   return out;
 }

@@ -50,9 +50,7 @@ struct ReplicaParams : PhotographParams {
 namespace {
 
 /// Whether a folder holds traj.txt and results/.
-bool is_slam_sequence(const std::string& folder) {
-  return is_file(fs::path(folder) / "traj.txt") && is_folder(fs::path(folder) / "results");
-}
+bool is_slam_sequence(const fs::path& folder) { return is_file(folder / "traj.txt") && is_folder(folder / "results"); }
 
 /// What cam_params.json says, which lies beside the trajectory or in the folder above: {"camera": {"w": 1200, "h": 680,
 /// "fx": 600, "fy": 600, "cx": 599.5, "cy": 339.5, "scale": 6553.5}}
@@ -60,9 +58,9 @@ struct SlamCamera {
   Camera camera;                     ///< width 0 where there is no such file, or one that was reported
   double depth_unit_m = 1 / 6553.5;  ///< of one step of a depth image
 };
-SlamCamera read_slam_camera(const std::string& folder, Diagnostics& diagnostics) {
+SlamCamera read_slam_camera(const fs::path& folder, Diagnostics& diagnostics) {
   constexpr const char* kFile = "cam_params.json";
-  const fs::path beside = fs::path(folder) / kFile, above = fs::weakly_canonical(folder).parent_path() / kFile;
+  const fs::path beside = folder / kFile, above = fs::weakly_canonical(folder).parent_path() / kFile;
   const std::string path = (is_there(beside) ? beside : above).string();
   if (!is_there(path)) return {};
   const json root = read_pose_json<json>(path, "download the scene again");
@@ -153,26 +151,27 @@ class Replica {
   }
 
   SceneInfo open(Diagnostics& diagnostics) {
-    const std::string folder = sequence_folder(), trajectory = (fs::path(folder) / trajectory_file()).string();
+    folder_ = sequence_folder();
+    const std::string trajectory = (folder_ / (slam_ ? "traj.txt" : "traj_w_c.txt")).string();
     for (const std::string& labels : {params_.label_dir, params_.test_label_dir}) {
       // The default folder may be absent (a scene without labels); one that was asked for may not.
       const bool asked = !labels.empty() && labels != ReplicaParams{}.label_dir;
-      if (asked && !fs::is_directory(fs::path(folder) / labels))
-        diagnostics.error("labels.folder.missing", (fs::path(folder) / labels).string(), "label folder is missing",
+      if (asked && !fs::is_directory(folder_ / labels))
+        diagnostics.error("labels.folder.missing", (folder_ / labels).string(), "label folder is missing",
                           "check scene.label_dir and scene.test_label_dir");
     }
-    index_labels(folder, diagnostics);
+    index_labels(diagnostics);
     std::size_t rows = 0;
-    std::vector<PosedPhotograph> photos = read_trajectory(folder, trajectory, diagnostics, rows);
-    check_poses_for_images(folder, rows, diagnostics);
-    set_cameras(folder, photos, diagnostics);
+    std::vector<PosedPhotograph> photos = read_trajectory(trajectory, diagnostics, rows);
+    check_poses_for_images(trajectory, rows, diagnostics);
+    set_cameras(photos, diagnostics);
     SceneInfo info = files_.open(std::move(photos),
                                  {.read = {},
-                                  .place = folder,
+                                  .place = folder_.string(),
                                   .poses = trajectory,
                                   .with_masks = false,
                                   .labels_by_name = false,
-                                  .class_folders = {folder, root_, (fs::path(root_) / "habitat").string()}},
+                                  .class_folders = {folder_.string(), root_.string(), (root_ / "habitat").string()}},
                                  diagnostics);
     info.near_hint_m = 0.1;  // the rooms' range [Zhi21, section 4.1]
     info.far_hint_m = 10;
@@ -183,42 +182,40 @@ class Replica {
       diagnostics.note(
           "scene.frames.unused", root_,
           fmt::format("{} of {} frames are in neither split (scene.split, or train_step and test_step)", unused, rows));
-    report_unlabelled(info, folder, diagnostics);
+    report_unlabelled(info, diagnostics);
     return info;
   }
 
  private:
-  std::string sequence_folder() {
-    slam_ = false;
+  // Sets slam_ too.
+  fs::path sequence_folder() {
+    const auto has_poses = [](const fs::path& folder) { return fs::exists(folder / "traj_w_c.txt"); };
     require_folder(root_, "check scene.root");
     if (!params_.sequence.empty()) {
-      const fs::path folder = fs::path(root_) / params_.sequence;
+      const fs::path folder = root_ / params_.sequence;
       require_folder(folder, "check scene.sequence");
-      slam_ = !fs::exists(folder / "traj_w_c.txt") && is_slam_sequence(folder.string());
-      return folder.string();
+      slam_ = !has_poses(folder) && is_slam_sequence(folder);
+      return folder;
     }
-    if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
-    const fs::path first = fs::path(root_) / "Sequence_1";
-    if (fs::exists(first / "traj_w_c.txt")) return first.string();
+    for (const fs::path& folder : {root_, root_ / "Sequence_1"})
+      if (has_poses(folder)) return folder;
     slam_ = is_slam_sequence(root_);
     if (slam_) return root_;
-    throw Error(ErrorKind::no_input, "scene.poses.missing", "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
+    throw Error(ErrorKind::no_input, "scene.poses.missing",
+                "no traj_w_c.txt in '" + root_.string() + "' or its Sequence_1",
                 "check scene.root; it names the folder of one scene");
   }
 
-  std::string color_folder() const { return slam_ ? "results" : "rgb"; }
-  const char* color_prefix() const { return slam_ ? "frame" : "rgb_"; }
-  const char* trajectory_file() const { return slam_ ? "traj.txt" : "traj_w_c.txt"; }
   // One camera for all frames, of the size of the first image that can be read; headers tell those of another size. One
   // that cam_params.json names follows the size of each image.
-  void set_cameras(const std::string& folder, std::vector<PosedPhotograph>& photos, Diagnostics& diagnostics) const {
+  void set_cameras(std::vector<PosedPhotograph>& photos, Diagnostics& diagnostics) const {
     Camera camera;
     set_first_size(camera, photos, &FrameFiles::color);
     // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
     camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
     camera.cx = 0.5 * camera.width_px;
     camera.cy = 0.5 * camera.height_px;
-    const SlamCamera told = slam_ ? read_slam_camera(folder, diagnostics) : SlamCamera{{}, 0.001};
+    const SlamCamera told = slam_ ? read_slam_camera(folder_, diagnostics) : SlamCamera{{}, 0.001};
     const bool is_told =
         told.camera.width_px > 0 && camera.width_px > 0 && params_.hfov_deg == ReplicaParams{}.hfov_deg;
     for (PosedPhotograph& photo : photos) {
@@ -229,8 +226,8 @@ class Replica {
   }
 
   // A photograph for each pose of a split.
-  std::vector<PosedPhotograph> read_trajectory(const std::string& folder, const std::string& path,
-                                               Diagnostics& diagnostics, std::size_t& rows) const {
+  std::vector<PosedPhotograph> read_trajectory(const std::string& path, Diagnostics& diagnostics,
+                                               std::size_t& rows) const {
     const std::string text = read_pose_file(path);
     std::vector<PosedPhotograph> out;
     std::string_view rest = text, row;
@@ -256,7 +253,7 @@ class Replica {
       const Split split = split_of(number);
       if (split == Split::unused) continue;
       PosedPhotograph photo;
-      static_cast<FrameFiles&>(photo) = files_of(folder, number, split);
+      static_cast<FrameFiles&>(photo) = files_of(number, split);
       photo.place = place;
       photo.matrix = std::move(numbers);
       photo.split = split;
@@ -278,23 +275,22 @@ class Replica {
   }
 
   // More poses than images are missing images; more images than poses have no place in the scene, or all poses are off.
-  void check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const {
-    const std::string_view kPrefix = color_prefix();
+  void check_poses_for_images(const std::string& trajectory, std::size_t rows, Diagnostics& diagnostics) const {
+    const std::string_view prefix = slam_ ? "frame" : "rgb_";
     std::vector<std::int64_t> without;
     std::size_t images = 0;
-    const fs::path colors = fs::path(folder) / color_folder();
+    const fs::path colors = folder_ / (slam_ ? "results" : "rgb");
     if (!fs::is_directory(colors)) return;
     for (const fs::directory_entry& entry : sorted_folder(colors.string())) {
       const std::string stem = entry.path().stem().string();
       std::int64_t number = 0;
-      if (stem.rfind(kPrefix, 0) != 0 || !parse_whole(stem.substr(kPrefix.size()), number)) continue;
+      if (!stem.starts_with(prefix) || !parse_whole(stem.substr(prefix.size()), number)) continue;
       ++images;
       if (number >= static_cast<std::int64_t>(rows)) without.push_back(number);
     }
     if (without.empty()) return;
     std::sort(without.begin(), without.end());
-    const std::string trajectory = (fs::path(folder) / trajectory_file()).string();
-    const std::string sentence = fmt::format("{} poses for {} images: from {}{} on {} have none", rows, images, kPrefix,
+    const std::string sentence = fmt::format("{} poses for {} images: from {}{} on {} have none", rows, images, prefix,
                                              without.front(), without.size());
     if (params_.missing == MissingFiles::skip)
       return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
@@ -303,29 +299,28 @@ class Replica {
         "write one pose a line for every image, or leave out what has none with --set scene.missing=skip");
   }
 
-  FrameFiles files_of(const std::string& folder, int number, Split split) const {
+  FrameFiles files_of(int number, Split split) const {
     const std::string n = std::to_string(number) + ".png";
-    const fs::path root(folder);
     FrameFiles files;
     if (slam_) {
-      const fs::path lossless = root / "results" / fmt::format("frame{:06}.png", number);
+      const fs::path lossless = folder_ / "results" / fmt::format("frame{:06}.png", number);
       files.color = (fs::exists(lossless) ? lossless : fs::path(lossless).replace_extension(".jpg")).string();
-      files.depth = (root / "results" / fmt::format("depth{:06}.png", number)).string();
+      files.depth = (folder_ / "results" / fmt::format("depth{:06}.png", number)).string();
     } else {
-      files.color = (root / "rgb" / ("rgb_" + n)).string();
-      files.depth = in_folder(root / "depth", "depth_" + n);
+      files.color = (folder_ / "rgb" / ("rgb_" + n)).string();
+      files.depth = in_folder(folder_ / "depth", "depth_" + n);
     }
     files.label = label_of(number, split);
-    files.instance = in_folder(root / "semantic_instance", "semantic_instance_" + n);
+    files.instance = in_folder(folder_ / "semantic_instance", "semantic_instance_" + n);
     return files;
   }
 
   // Label images by number: "semantic_class_12.png", "semantic_class_00012.png", "12.png". Other files (previews) are
   // none.
-  void index_labels(const std::string& folder, Diagnostics& diagnostics) {
+  void index_labels(Diagnostics& diagnostics) {
     constexpr std::string_view kPrefix = "semantic_class_";
     for (const std::string& labels : {params_.label_dir, params_.test_label_dir, ReplicaParams{}.label_dir}) {
-      const fs::path where = fs::path(folder) / labels;
+      const fs::path where = folder_ / labels;
       if (params_.label_dir.empty() && params_.test_label_dir.empty()) return;
       if (labels.empty() || !fs::is_directory(where) || label_files_.count(labels) > 0) continue;
       std::map<int, std::string>& files = label_files_[labels];
@@ -358,7 +353,7 @@ class Replica {
     return own.empty() && label_files_.count(params_.label_dir) > 0 ? find(ReplicaParams{}.label_dir) : own;
   }
 
-  void report_unlabelled(const SceneInfo& info, const std::string& folder, Diagnostics& diagnostics) const {
+  void report_unlabelled(const SceneInfo& info, Diagnostics& diagnostics) const {
     for (const auto& [split, what, labels] :
          {std::tuple{Split::train, "training", params_.label_dir},
           std::tuple{Split::test, "test",
@@ -368,7 +363,7 @@ class Replica {
       const auto all = std::count_if(info.frames.begin(), info.frames.end(), in_split);
       const auto missing = std::count_if(info.frames.begin(), info.frames.end(),
                                          [&](const FrameInfo& f) { return in_split(f) && !f.has_labels; });
-      const std::string place = (fs::path(folder) / labels).string();
+      const std::string place = (folder_ / labels).string();
       if (all > 0 && missing == all)
         diagnostics.error("labels.frames.missing", place, fmt::format("no label image of any {} frame in it", what),
                           "name them semantic_class_<i>.png or <i>.png, <i> as in rgb_<i>.png");
@@ -380,7 +375,7 @@ class Replica {
 
   ReplicaParams params_;
   PosedPhotographs& files_;
-  std::string root_;
+  fs::path root_, folder_;                                         ///< of the scene, of its sequence
   bool slam_ = false;                                              ///< in the layout of NICE-SLAM
   std::map<std::string, std::map<int, std::string>> label_files_;  ///< folder as in the parameters -> <i> -> path
 };

@@ -93,11 +93,10 @@ class Scannet {
   Scannet(const ScannetParams& params, PosedPhotographs& files) : params_(params), files_(files), root_(files.root()) {}
 
   SceneInfo open(Diagnostics& diagnostics) {
-    const fs::path root(root_);
     std::vector<PosedPhotograph> views = list_views(diagnostics);
-    const bool has_labels = !params_.label_dir.empty() && fs::is_directory(root / params_.label_dir);
+    const bool has_labels = !params_.label_dir.empty() && fs::is_directory(root_ / params_.label_dir);
     if (!params_.label_dir.empty() && params_.label_dir != ScannetParams{}.label_dir && !has_labels)
-      diagnostics.error("labels.folder.missing", (root / params_.label_dir).string(), "label folder is missing",
+      diagnostics.error("labels.folder.missing", (root_ / params_.label_dir).string(), "label folder is missing",
                         "check scene.label_dir");
     PhotographRules rules;
     rules.with_masks = rules.labels_by_name = false;
@@ -106,11 +105,11 @@ class Scannet {
     for (std::size_t rank = 0; rank < views.size(); ++rank) {
       PosedPhotograph& view = views[rank];
       const std::string file = fs::path(view.color).stem().string() + ".png";
-      view.depth = in_folder(root / "depth", file);
+      view.depth = in_folder(root_ / "depth", file);
       // Not every frame is labelled.
-      if (const fs::path label = root / params_.label_dir / file; has_labels && fs::exists(label))
+      if (const fs::path label = root_ / params_.label_dir / file; has_labels && fs::exists(label))
         view.label = label.string();
-      view.instance = in_folder(root / "instance-filt", file);
+      view.instance = in_folder(root_ / "instance-filt", file);
       // Which is held out: 1, 3, 5, ... of the default 2.
       view.split = HoldOut{params_.test_every, params_.test_every - 1}.split_of(rank, views.size());
       view.intrinsics = Intrinsics::exact;
@@ -127,20 +126,19 @@ class Scannet {
     const auto unlabelled =
         std::count_if(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return !f.has_labels; });
     if (has_labels && unlabelled > 0)
-      diagnostics.note("labels.frames.missing", (root / params_.label_dir).string(),
+      diagnostics.note("labels.frames.missing", (root_ / params_.label_dir).string(),
                        fmt::format("{} of {} frames have no label image", unlabelled, info.frames.size()));
     return info;
   }
 
  private:
   std::vector<PosedPhotograph> list_views(Diagnostics& diagnostics) const {
-    const fs::path root(root_);
-    for (const fs::path& folder : {root, root / "color", root / "pose", root / "intrinsic"})
+    for (const fs::path& folder : {root_, root_ / "color", root_ / "pose", root_ / "intrinsic"})
       require_folder(folder, "check scene.root; it names the folder of one exported scene");
     std::vector<PosedPhotograph> out;
     std::vector<std::string> skipped;
-    for (const auto& [number, path] : numbered_photographs((root / "color").string(), diagnostics)) {
-      const std::string stem = fs::path(path).stem().string(), pose = (root / "pose" / (stem + ".txt")).string();
+    for (const auto& [number, path] : numbered_photographs((root_ / "color").string(), diagnostics)) {
+      const std::string stem = fs::path(path).stem().string(), pose = (root_ / "pose" / (stem + ".txt")).string();
       FrameInfo frame;
       frame.name = stem;
       frame.source = path;
@@ -154,11 +152,11 @@ class Scannet {
         out.back().matrix = *matrix;
       }
     }
-    report_skipped(skipped, out.size(), (root / "pose").string(), diagnostics);
+    report_skipped(skipped, out.size(), (root_ / "pose").string(), diagnostics);
     if (params_.max_frames > 0 && out.size() > static_cast<std::size_t>(params_.max_frames)) {
       const auto taken = static_cast<std::size_t>(params_.max_frames);
       diagnostics.note(
-          "scene.frames.taken", root_,
+          "scene.frames.taken", root_.string(),
           fmt::format("{} of {} frames with a pose are taken, evenly spaced (scene.max_frames)", taken, out.size()));
       for (std::size_t k = 0; k < taken; ++k) out[k] = PosedPhotograph(out[k * out.size() / taken]);
       out.resize(taken);
@@ -169,7 +167,7 @@ class Scannet {
   // ScanNet counts pixel centres as whole numbers (its depth camera has cx = 319.5 at 640 pixels): 0.5 is added.
   Camera read_camera(const std::string& file, const std::vector<PosedPhotograph>& views,
                      std::string FrameFiles::*images, Diagnostics& diagnostics) const {
-    const std::string path = (fs::path(root_) / "intrinsic" / file).string();
+    const std::string path = (root_ / "intrinsic" / file).string();
     Camera camera;
     set_first_size(camera, views, images);
     if (camera.width_px == 0) return camera;
@@ -192,7 +190,7 @@ class Scannet {
 
   void check_extrinsics(Diagnostics& diagnostics) const {
     for (const char* name : {"extrinsic_color.txt", "extrinsic_depth.txt"}) {
-      const std::string path = (fs::path(root_) / "intrinsic" / name).string();
+      const std::string path = (root_ / "intrinsic" / name).string();
       if (!fs::exists(path)) continue;
       const auto m = read_matrix(path, path, diagnostics);
       if (!m) continue;
@@ -211,7 +209,7 @@ class Scannet {
     for (const fs::path& folder : {root, root.parent_path()})
       if (path.empty() && fs::exists(folder / kTableName)) path = (folder / kTableName).string();
     if (path.empty())
-      return diagnostics.error("labels.classes.none", root_,
+      return diagnostics.error("labels.classes.none", root_.string(),
                                fmt::format("labels without {} in the scene's folder or above it", kTableName),
                                "copy the file there, or set scene.classes");
     try {
@@ -234,7 +232,7 @@ class Scannet {
 
   const ScannetParams& params_;
   PosedPhotographs& files_;
-  std::string root_;
+  fs::path root_;
 };
 
 }  // namespace
