@@ -399,20 +399,18 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
     const auto bytes = fs::file_size(file, unknown);
     return unknown ? 0.0 : static_cast<double>(bytes);
   };
-  const auto words_of_film = [&](const std::vector<std::string>& more) {
-    return all_words({word_list("-v error -nostdin -y"), film_words(cut.video), more});
+  const auto ffmpeg = [&](const std::vector<std::string>& more, const char* log, std::function<void()> tick) {
+    run_program(programs, "ffmpeg",
+                {.words = all_words({word_list("-v error -nostdin -y"), film_words(cut.video), more}),
+                 .log = (fs::path(cut.logs) / log).string(),
+                 .tick = std::move(tick),
+                 .remedy = remedy});
   };
-  run_program(programs, "ffmpeg",
-              {.words = words_of_film(
-                   {"-an", "-vf",
-                    rate + ",scale=" + std::to_string(kSide) + ":" + std::to_string(kSide) + ":flags=area,format=gray",
-                    "-f", "rawvideo", small}),
-               .log = (fs::path(cut.logs) / "ffmpeg_look.txt").string(),
-               .tick =
-                   [&] {
-                     progress({"looking at", "frames"}, std::min(size_of(small) / kPixels, total), total);
-                   },
-               .remedy = remedy});
+  ffmpeg(
+      {"-an", "-vf", fmt::format("{},scale={}:{}:flags=area,format=gray", rate, kSide, kSide), "-f", "rawvideo", small},
+      "ffmpeg_look.txt", [&] {
+        progress({"looking at", "frames"}, std::min(size_of(small) / kPixels, total), total);
+      });
   FrameChoice choice;
   {
     const MappedFile frames(small);
@@ -435,17 +433,12 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
     std::string select = "select=";
     for (std::size_t i = first; i < last; ++i)
       select += (i == first ? "eq(n\\," : "+eq(n\\,") + std::to_string(choice.kept[i]) + ")";
-    run_program(programs, "ffmpeg",
-                {.words = words_of_film({"-an", "-vf", rate + "," + select, "-fps_mode", "passthrough", "-frames:v",
-                                         std::to_string(last - first), "-q:v", "2", "-start_number",
-                                         std::to_string(first + 1), pattern_of(cut.folder) + "/%06d.jpg"}),
-                 .log = (fs::path(cut.logs) / "ffmpeg_keep.txt").string(),
-                 .tick =
-                     [&] {
-                       while (fs::exists(file_of(written + 1))) ++written;
-                       progress({"writing", "frames"}, static_cast<double>(written), kept);
-                     },
-                 .remedy = remedy});
+    ffmpeg({"-an", "-vf", rate + "," + select, "-fps_mode", "passthrough", "-frames:v", std::to_string(last - first),
+            "-q:v", "2", "-start_number", std::to_string(first + 1), pattern_of(cut.folder) + "/%06d.jpg"},
+           "ffmpeg_keep.txt", [&] {
+             while (fs::exists(file_of(written + 1))) ++written;
+             progress({"writing", "frames"}, static_cast<double>(written), kept);
+           });
   }
   for (std::size_t i = 0; i < choice.kept.size(); ++i) {
     out.names.push_back(fmt::format("frame_{:06}.jpg", choice.kept[i]));

@@ -331,10 +331,7 @@ class Adjustment {
   static Block& block(PointPart& part, int at, int size) {
     for (Block& one : part.blocks)
       if (one.at == at) return one;
-    part.blocks.push_back({});
-    part.blocks.back().at = at;
-    part.blocks.back().size = size;
-    return part.blocks.back();
+    return part.blocks.emplace_back(Block{.at = at, .size = size});
   }
 
   void add_sighting(const Rows& r, std::int32_t frame, PointPart& part) {
