@@ -264,8 +264,12 @@ class BinaryFile {
     at_ += bytes;
   }
 
-  void finish() const {
-    if (left() > 0) fail("has " + std::to_string(left()) + " bytes after its last record", at_);
+  // All of the file: the number of its records of at least `bytes_each`, and each by `read(name)`.
+  template <class Read>
+  void each(const std::string& what, std::size_t bytes_each, const Read& read) {
+    const std::uint64_t all = count(what + "s", bytes_each);
+    for (std::uint64_t i = 1; i <= all; ++i) read(fmt::format("{} {} of {}", what, i, all));
+    if (left() > 0) fail(fmt::format("has {} bytes after its last record", left()), at_);
   }
 
   [[noreturn]] void fail(const std::string& what, std::size_t offset) const {
@@ -283,9 +287,7 @@ class BinaryFile {
 };
 
 void read_cameras(BinaryFile file, ColmapBuilder& out) {
-  const std::uint64_t cameras = file.count("cameras", 24 + 3 * sizeof(double));
-  for (std::uint64_t i = 0; i < cameras; ++i) {
-    const std::string record = fmt::format("camera {} of {}", i + 1, cameras);
+  file.each("camera", 24 + 3 * sizeof(double), [&](const std::string& record) {
     const auto id = file.take<std::uint32_t>(record);
     const std::size_t lens_offset = file.offset();
     const auto lens = file.take<std::int32_t>(record);
@@ -297,14 +299,11 @@ void read_cameras(BinaryFile file, ColmapBuilder& out) {
     for (double& p : params) p = file.take<double>(record);
     out.add_camera(id, known.name, static_cast<double>(width), static_cast<double>(height), params,
                    file.path() + ": camera " + std::to_string(id));
-  }
-  file.finish();
+  });
 }
 
 void read_images(BinaryFile file, ColmapBuilder& out) {
-  const std::uint64_t images = file.count("images", 73);
-  for (std::uint64_t i = 0; i < images; ++i) {
-    const std::string record = fmt::format("image {} of {}", i + 1, images);
+  file.each("image", 73, [&](const std::string& record) {
     ColmapImage image;
     image.id = file.take<std::uint32_t>(record);
     double pose[7];
@@ -319,14 +318,11 @@ void read_images(BinaryFile file, ColmapBuilder& out) {
       if (point >= 0) image.points.push_back(point);  // -1: a feature without a point
     }
     out.add_image(std::move(image), pose);
-  }
-  file.finish();
+  });
 }
 
 void read_points(BinaryFile file, ColmapBuilder& out) {
-  const std::uint64_t points = file.count("points", 51);
-  for (std::uint64_t i = 0; i < points; ++i) {
-    const std::string record = fmt::format("point {} of {}", i + 1, points);
+  file.each("point", 51, [&](const std::string& record) {
     const std::size_t start = file.offset();
     const auto id = file.take<std::int64_t>(record);
     Vec3d position;
@@ -337,8 +333,7 @@ void read_points(BinaryFile file, ColmapBuilder& out) {
     file.skip(track * 8, record);
     if (const std::string wrong = out.add_point(id, position, error_px); !wrong.empty())
       file.fail("holds " + wrong + " in " + record, start);
-  }
-  file.finish();
+  });
 }
 
 }  // namespace
