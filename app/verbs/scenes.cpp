@@ -51,7 +51,7 @@ OpenedDataset dataset_of(const std::string& config, const std::vector<std::strin
 
 // The same of a tree that no file holds.
 OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context) {
-  return dataset_of(run_config_of(compose_config_tree(tree, set), context.registry), context);
+  return dataset_of(run_config_of(compose_config_tree(tree, parse_overrides(set)), context.registry), context);
 }
 
 // The scene with what its label steps require.

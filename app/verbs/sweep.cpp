@@ -21,7 +21,7 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
-#include "config/compose.h"
+#include "config/config_files.h"
 #include "config/config_tree.h"
 #include "core/error.h"
 #include "core/text.h"

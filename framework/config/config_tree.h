@@ -1,5 +1,4 @@
-// The configuration tree: every node knows its file, line and column; and the files that names of configurations mean.
-// config_tree.cpp is the only user of yaml-cpp.
+// The configuration tree: every node knows its file, line and column. yaml_reader.cpp makes it of YAML.
 #pragma once
 
 #include <optional>
@@ -7,6 +6,8 @@
 #include <string_view>
 #include <utility>
 #include <vector>
+
+#include "core/error.h"
 
 namespace semfield {
 
@@ -17,6 +18,10 @@ struct Location {
   int column = 0;
   std::string text() const;  ///< "room.yaml:7:5", or the file alone when line is 0
 };
+
+/// Throws Error(config): "room.yaml:7:5: MESSAGE".
+[[noreturn]] void refuse_at(const Location& where, Code code, const std::string& message,
+                            const std::string& remedy = {});
 
 /// A value with its place. A default-constructed node is an empty map without a place.
 class ConfigNode {
@@ -114,23 +119,5 @@ struct ConfigLine {
 };
 /// What write_config joins, for writers that add comments; the pointers live as long as `node`.
 std::vector<ConfigLine> config_lines(const ConfigNode& node);
-
-// Configurations by name: files of the user's, then those that come with the program.
-
-/// The shipped configuration that a relative name means: `quickstart`, `quickstart.yaml` and `configs/quickstart.yaml`
-/// are one. "" where there is none.
-std::string shipped_config(const std::string& name);
-
-/// Where shipped_config looks for a file of exactly this name, for messages; "" for an absolute one, and where nothing
-/// is shipped.
-std::string shipped_place(const std::string& name);
-
-/// The name of the configuration nearest to one that is not there, next to `own_place`, where it was looked for, or
-/// among the shipped ones; "" when none is near.
-std::string near_config(const std::string& name, const std::string& own_place);
-
-/// The file that a name on the command line means: as it is written, then with .yaml behind it, then a shipped one.
-/// Throws Error(no_input) with the places and the nearest name.
-std::string find_config(const std::string& name);
 
 }  // namespace semfield

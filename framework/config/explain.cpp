@@ -5,7 +5,7 @@
 #include <string_view>
 #include <utility>
 
-#include "config/compose.h"
+#include "config/overrides.h"
 
 namespace semfield {
 namespace {

@@ -100,6 +100,21 @@ Describe described(Params& params) {
   };
 }
 
+/// see(info, value) for every parameter, with a value of its own type.
+template <class See>
+void each_param(const Describe& describe, const See& see) {
+  ParamVisitor visitor = [&](const ParamInfo& info, ParamValue value) {
+    std::visit([&](auto* of_type) { see(info, *of_type); }, value);
+  };
+  describe(visitor);
+}
+
+/// What messages and tables call the types of ParamValue, in its order, and that of one.
+inline constexpr auto kTypeNames = std::to_array<std::string_view>(
+    {"bool", "int", "number", "text", "choice", "list of int", "list of number", "list of text"});
+template <class T>
+inline constexpr std::string_view kTypeName = kTypeNames[ParamValue(static_cast<T*>(nullptr)).index()];
+
 /// Reads the keys of `node` into the parameters. Unknown keys are errors with "did you mean" unless listed in
 /// `other_keys`; wrong types, ranges and choices are errors with place, path, expected and found, e.g.
 /// "room.yaml:9:21: encoder.log2_entries: expected int, got 'big'". `path` is the key path of `node` for messages. A

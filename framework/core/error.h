@@ -123,6 +123,17 @@ class Diagnostics {
   int errors_ = 0;
 };
 
+/// Does what may fail. Where somebody collects mistakes, an Error is noted there, and the work left undone.
+template <class Work>
+void noting(Diagnostics* problems, const Work& work) {
+  if (problems == nullptr) return work();
+  try {
+    work();
+  } catch (const Error& error) {
+    problems->error(error.code(), "", error.message(), error.remedy());
+  }
+}
+
 /// The known name closest to `word` by edit distance (at most a third of its length), or "" when none is near.
 std::string did_you_mean(std::string_view word, const std::vector<std::string>& known);
 /// A remedy: "did you mean 'levels'?", or `otherwise` where no known name is near.

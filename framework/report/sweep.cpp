@@ -14,6 +14,7 @@
 #include <string_view>
 
 #include "config/compose.h"
+#include "config/config_files.h"
 #include "config/params.h"
 #include "core/check.h"
 #include "core/error.h"

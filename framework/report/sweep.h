@@ -12,7 +12,7 @@
 #include <utility>
 #include <vector>
 
-#include "config/compose.h"
+#include "config/overrides.h"
 #include "plugin/registry.h"
 
 namespace semfield {

@@ -153,7 +153,7 @@ struct Bounded {
 std::vector<Bounded> inspect(PluginParams& params, Failures& failures) {
   std::vector<Bounded> numbers;
   std::set<std::string> names;
-  ParamVisitor visitor = [&](const ParamInfo& info, ParamValue any) {
+  each_param(described(params), [&]<class T>(const ParamInfo& info, const T& value) {
     const std::string name(info.name), parameter = "parameter '" + name + "': ";
     const bool snake = !name.empty() && std::all_of(name.begin(), name.end(), [](unsigned char c) {
       return std::islower(c) != 0 || std::isdigit(c) != 0 || c == '_';
@@ -162,26 +162,20 @@ std::vector<Bounded> inspect(PluginParams& params, Failures& failures) {
     if (!names.insert(name).second) failures.push_back(parameter + "declared twice");
     if (info.help.size() < 8) failures.push_back(parameter + "no sentence says what it is");
     if (info.range.min > info.range.max) failures.push_back(parameter + "its range is empty");
-    const auto in_range = [&](double value) {
-      if (!(value >= info.range.min && value <= info.range.max))
+    const auto in_range = [&](double number) {
+      if (!(number >= info.range.min && number <= info.range.max))
         failures.push_back(parameter + "the default is outside its range");
     };
-    std::visit(
-        [&](auto* of_type) {
-          using T = std::decay_t<decltype(*of_type)>;
-          if constexpr (std::is_same_v<T, std::int64_t> || std::is_same_v<T, double>) {
-            in_range(static_cast<double>(*of_type));
-            numbers.push_back({name, info.range});
-          } else if constexpr (std::is_same_v<T, std::vector<std::int64_t>> || std::is_same_v<T, std::vector<double>>) {
-            for (const auto element : *of_type) in_range(static_cast<double>(element));
-          } else if constexpr (std::is_same_v<T, ChosenName>) {
-            if (of_type->index < 0 || of_type->index >= std::ssize(of_type->names))
-              note_failure(failures, name, "the default is none of the choices");
-          }
-        },
-        any);
-  };
-  params.describe(visitor);
+    if constexpr (std::is_same_v<T, std::int64_t> || std::is_same_v<T, double>) {
+      in_range(static_cast<double>(value));
+      numbers.push_back({name, info.range});
+    } else if constexpr (std::is_same_v<T, std::vector<std::int64_t>> || std::is_same_v<T, std::vector<double>>) {
+      for (const auto element : value) in_range(static_cast<double>(element));
+    } else if constexpr (std::is_same_v<T, ChosenName>) {
+      if (value.index < 0 || value.index >= std::ssize(value.names))
+        note_failure(failures, name, "the default is none of the choices");
+    }
+  });
   return numbers;
 }
 

@@ -13,6 +13,7 @@
 #include <sstream>
 
 #include "config/compose.h"
+#include "config/config_files.h"
 #include "config/config_tree.h"
 #include "config/explain.h"
 #include "config/params.h"

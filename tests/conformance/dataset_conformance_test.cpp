@@ -77,7 +77,7 @@ TEST_F(FolderScenes, EveryDatasetKnowsItsOwnFiles) {
     EXPECT_EQ(scene.type, name);
     EXPECT_NE(scene.what, "");
     EXPECT_GT(scene.train_frames + scene.test_frames, 0) << name;
-    const ConfigNode tree = compose_config_tree(config_of(scene, kUsualPreset), std::vector<std::string>{});
+    const ConfigNode tree = compose_config_tree(config_of(scene, kUsualPreset), {});
     const RunConfig config = run_config_of(tree, context.registry);
     Diagnostics diagnostics;
     EXPECT_EQ(std::ssize(config.dataset.entry->dataset(*config.dataset.params, {})->open(diagnostics).frames),

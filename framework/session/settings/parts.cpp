@@ -8,6 +8,7 @@
 #include <initializer_list>
 
 #include "config/compose.h"
+#include "config/overrides.h"
 #include "labels/clicks/click_log.h"
 #include "model/pass.h"
 #include "session/settings/run_config.h"

@@ -1,6 +1,7 @@
 // The way of a key: config/compose.cpp makes one tree of files and --set; each_section() below names every section
-// once, and by that list sections are read, validated, written to run.yaml and documented; config/params.cpp reads,
-// writes and documents the keys of one by its describe(), which stands with its struct, as in train_settings.h.
+// once, and by that list sections are read, validated, written to run.yaml and documented; config/params.cpp reads
+// the keys of one by its describe(), which stands with its struct, as in train_settings.h, and param_texts.cpp writes
+// and documents them.
 #include "session/settings/run_config.h"
 
 #include <fmt/format.h>
@@ -10,6 +11,7 @@
 #include <string_view>
 
 #include "config/compose.h"
+#include "config/config_files.h"
 #include "core/text.h"
 #include "plugin/loader.h"
 

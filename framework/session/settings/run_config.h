@@ -1,5 +1,6 @@
 // A run's configuration as typed sections and plugin slots, read from the composed tree with every error at once.
-// The keys of a section are where its struct is: train_settings.h, surface_settings.h and the rooms that use them.
+// The keys of a section are where its struct is: train_settings.h, runtime_settings.h, surface_settings.h and the rooms
+// that use them.
 #pragma once
 
 #include <string>
@@ -16,6 +17,7 @@
 #include "model/render_rules.h"
 #include "plugin/registry.h"
 #include "session/settings/parts.h"
+#include "session/settings/runtime_settings.h"
 #include "session/settings/surface_settings.h"
 #include "session/settings/train_settings.h"
 

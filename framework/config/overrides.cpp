@@ -1,0 +1,181 @@
+#include "config/overrides.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <iterator>
+#include <string_view>
+#include <utility>
+
+#include "config/compose.h"
+#include "config/explain.h"
+#include "core/text.h"
+
+namespace semfield {
+namespace {
+
+std::string joined(const std::vector<std::string>& segments, std::size_t count) {
+  return join(std::vector<std::string>(segments.begin(), segments.begin() + static_cast<std::ptrdiff_t>(count)), ".");
+}
+
+// The item that a segment of a key names, by index or by item_key.
+std::size_t item_of(const ConfigNode& list, const std::string& segment, const std::string& key,
+                    const Location& origin) {
+  if (const auto index = to_number<std::size_t>(segment); index && *index < list.items().size()) return *index;
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < list.items().size(); ++i) {
+    const std::string name = item_key(list, i);
+    if (name == segment) return i;
+    if (name != std::to_string(i)) names.push_back(name);
+  }
+  const std::string range = list.items().empty() ? "it is empty" : "0 to " + std::to_string(list.items().size() - 1);
+  const std::string expected =
+      names.empty() ? "an item's index, " + range : "an item's name (" + join(names) + ") or its index (" + range + ")";
+  refuse_at(origin, "config.set.key",
+            key + " is a list (" + list.location().text() + "): expected " + expected + ", got '" + segment + "'",
+            near_name_remedy(segment, names));
+}
+
+/// Sets the value at segments[at...] of `node`; `origin` is the override for messages.
+void set_at(ConfigNode& node, const std::vector<std::string>& segments, std::size_t at, const ConfigNode& value,
+            const Location& origin) {
+  if (at == segments.size()) {
+    node = merge_config(std::move(node), value);
+    return;
+  }
+  const std::string& segment = segments[at];
+  if (node.is_list()) {
+    const std::size_t index = item_of(node, segment, "'" + joined(segments, at) + "'", origin);
+    return set_at(node.items()[index], segments, at + 1, value, origin);
+  }
+  if (node.is_scalar()) {
+    refuse_at(origin, "config.set.key",
+              "'" + joined(segments, at) + "' is " + kind_text(node) + " (" + node.location().text() +
+                  "), it has no key '" + segment + "'");
+  }
+  const ConfigNode* const old_child = node.find(segment);
+  ConfigNode child = old_child != nullptr ? *old_child : ConfigNode::make_null(origin);
+  set_at(child, segments, at + 1, value, origin);
+  // The override is a map of one key at this level: the rule of merging, with its type change, is then the same.
+  ConfigNode over = ConfigNode::make_map({{segment, child}}, origin);
+  if (!node.is_null() && !type_changes(node, over)) return node.set(segment, std::move(child));
+  over.set_key_location(node.key_location());
+  node = std::move(over);
+}
+
+void apply_override(ConfigNode& root, const ConfigOverride& over) {
+  const Location& origin = over.value.location();
+  std::vector<std::string> segments;
+  for (std::size_t begin = 0; begin <= over.key.size();) {
+    const std::size_t end = std::min(over.key.find('.', begin), over.key.size());
+    segments.push_back(over.key.substr(begin, end - begin));
+    if (segments.back().empty())
+      refuse_at(origin, "config.set.key", "empty key in '" + over.key + "'",
+                "write sections and keys with dots between: train.steps");
+    begin = end + 1;
+  }
+  if (segments.size() > 32) refuse_at(origin, "config.set.key", "key path longer than 32 levels");
+  if (segments[0] == "include")
+    refuse_at(origin, "config.set.key", "include: files are included by a config, not by an override");
+  set_at(root, segments, 0, over.value, origin);
+}
+
+ConfigOverride parse_override(const std::string& text) {
+  const std::size_t equals = text.find('=');
+  // "--threads runtime.threads=2" was typed as "--threads 2".
+  const std::size_t key = text.starts_with("--") ? text.find(' ') + 1 : 0;
+  const std::string origin = key > 0 ? text.substr(0, key) + text.substr(equals + 1) : "--set " + text;
+  if (equals == std::string::npos)
+    refuse_at({origin, 0, 0}, "config.set.format", "expected KEY=VALUE", "for example --set train.steps=1000");
+  return {text.substr(key, equals - key), parse_config_value(std::string_view(text).substr(equals + 1), origin)};
+}
+
+// The list `passes`; none where there is none.
+std::vector<ConfigNode>* passes_of(ConfigNode& root) {
+  ConfigNode* const passes = root.find("passes");
+  return passes != nullptr && passes->is_list() ? &passes->items() : nullptr;
+}
+
+// Every pass has a name, by which overrides can call it.
+void name_passes(ConfigNode& root) {
+  std::vector<ConfigNode>* const passes = passes_of(root);
+  for (std::size_t i = 0; passes != nullptr && i < passes->size(); ++i) {
+    ConfigNode& pass = (*passes)[i];
+    if (pass.is_map() && pass.find("name") == nullptr)
+      pass.set("name", ConfigNode::make_scalar(usual_pass_name(i), false, {}));
+  }
+}
+
+/// Items of `passes` with `like: NAME`, each merged onto the earlier item of that name.
+void resolve_like(ConfigNode& root) {
+  std::vector<ConfigNode>* const passes = passes_of(root);
+  std::vector<std::string> names;
+  for (std::size_t i = 0; passes != nullptr && i < passes->size(); ++i) {
+    ConfigNode& pass = (*passes)[i];
+    const ConfigNode* name = pass.find("name");
+    const std::string own_name = name != nullptr ? name->text() : std::string();
+    if (const ConfigNode* like = pass.find("like")) {
+      if (!like->is_scalar())
+        refuse_at(like->location(), "config.value.type",
+                  "like: expected the name of an earlier pass, got " + kind_text(*like));
+      const auto known = std::find(names.rbegin(), names.rend(), like->text());
+      if (known == names.rend()) {
+        std::vector<std::string> given;
+        std::copy_if(names.begin(), names.end(), std::back_inserter(given),
+                     [](const std::string& n) { return !n.empty(); });
+        refuse_at(like->location(), "config.pass.like",
+                  "like: no earlier pass named '" + like->text() + "'" +
+                      (given.empty() ? "; this is the first one with a name" : "; known: " + join(given)),
+                  near_name_remedy(like->text(), given));
+      }
+      pass = merge_config((*passes)[static_cast<std::size_t>(names.rend() - known) - 1], pass.without("like"));
+    }
+    names.push_back(own_name);
+  }
+}
+
+// The scalar of an item that tells it from the others; null: none does.
+const ConfigNode* telling(const ConfigNode& item) {
+  for (const char* key : {"name", "labels"}) {
+    const ConfigNode* value = item.find(key);
+    if (value != nullptr && value->is_scalar()) return value;
+  }
+  return nullptr;
+}
+
+}  // namespace
+
+std::string item_key(const ConfigNode& list, std::size_t index) {
+  const ConfigNode* own = telling(list.items()[index]);
+  const auto is_letter = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_'; };
+  const auto is_plain = [&](char c) { return is_letter(c) || (c >= '0' && c <= '9') || c == '-'; };
+  if (own == nullptr || own->text().empty() || !is_letter(own->text().front()) ||
+      !std::all_of(own->text().begin(), own->text().end(), is_plain))
+    return std::to_string(index);
+  for (std::size_t i = 0; i < list.items().size(); ++i) {
+    const ConfigNode* other = telling(list.items()[i]);
+    if (i != index && other != nullptr && other->text() == own->text()) return std::to_string(index);
+  }
+  return own->text();
+}
+
+std::string usual_pass_name(std::size_t index) { return index == 0 ? "main" : "pass" + std::to_string(index); }
+
+std::vector<ConfigOverride> parse_overrides(const std::vector<std::string>& texts, Diagnostics* problems) {
+  std::vector<ConfigOverride> overrides;
+  for (const std::string& text : texts) noting(problems, [&] { overrides.push_back(parse_override(text)); });
+  return overrides;
+}
+
+ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides, Diagnostics* problems) {
+  for (const ConfigOverride& over : overrides) {
+    noting(problems, [&] {
+      name_passes(root);
+      apply_override(root, over);
+    });
+  }
+  name_passes(root);
+  resolve_like(root);
+  return root;
+}
+
+}  // namespace semfield

@@ -1,0 +1,36 @@
+// Values that are set at key paths of a configuration, and the names of what is in its lists.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "config/config_tree.h"
+#include "core/error.h"
+
+namespace semfield {
+
+/// A value set at a key path ("passes.main.sampler.samples"), written in some file: paths in it start there.
+struct ConfigOverride {
+  std::string key;
+  ConfigNode value;
+};
+
+/// Of "a.b=value" each; what a flag of the command line sets is written "--threads runtime.threads=2", and messages
+/// then name the flag. Throws Error(config), or notes in `problems` and leaves out what is no such text.
+std::vector<ConfigOverride> parse_overrides(const std::vector<std::string>& texts, Diagnostics* problems = nullptr);
+
+/// `root` with each of them in order; items of lists are called by item_key or by index. Then `like: NAME` of an item
+/// of `passes` is resolved: the item is merged onto the earlier one of that name. Throws Error(config), or notes in
+/// `problems` and leaves out what cannot be set.
+ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides,
+                          Diagnostics* problems = nullptr);
+
+/// What overrides and messages call an item of a list: its `name`, or the `labels` that a semantic branch is for, where
+/// that is one plain word and no other item has it; else its index. A pass that no `name` was written for has one
+/// after composition.
+std::string item_key(const ConfigNode& list, std::size_t index);
+/// The name of a pass that is given none: "main", "pass1", ...
+std::string usual_pass_name(std::size_t index);
+
+}  // namespace semfield
