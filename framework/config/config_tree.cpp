@@ -2,9 +2,10 @@
 // scalars in one line.
 #include "config/config_tree.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
-#include <array>
-#include <cstdio>
+#include <cstdint>
 
 #include "core/text.h"
 
@@ -37,12 +38,6 @@ bool survives_unquoted(std::string_view text) {
                      [&](char c) { return is_alnum(c) || kInside.find(c) != std::string_view::npos; });
 }
 
-void append_escape(std::string& out, std::uint32_t code) {
-  std::array<char, 12> buffer{};
-  std::snprintf(buffer.data(), buffer.size(), code < 0x100 ? "\\x%02x" : "\\u%04x", code);
-  out += buffer.data();
-}
-
 // What a reader would not see, or take for the end of a line: controls, separators, the byte order mark.
 bool is_unseen(std::uint32_t c) {
   return c < 0x20 || (c >= 0x7F && c < 0xA0) || c == 0x2028 || c == 0x2029 || c == 0xFEFF;
@@ -57,7 +52,7 @@ std::string in_quotes(std::string_view text) {
     if (c == '\n' || c == '\t') {
       out += c == '\n' ? "\\n" : "\\t";
     } else if (is_unseen(c)) {
-      append_escape(out, c);
+      out += c < 0x100 ? fmt::format("\\x{:02x}", c) : fmt::format("\\u{:04x}", c);
     } else {
       if (c == '"' || c == '\\') out += '\\';
       out += text.substr(i, length);
@@ -84,26 +79,6 @@ bool fits_line(const ConfigNode& node) {
   return std::all_of(node.items().begin(), node.items().end(), is_leaf);
 }
 
-void write_inline(const ConfigNode& node, std::string& out) {
-  if (is_leaf(node)) {
-    out += scalar_text(node);
-    return;
-  }
-  out += node.is_map() ? '{' : '[';
-  bool first = true;
-  for (const ConfigNode::Entry& entry : node.entries()) {
-    out += (first ? "" : ", ") + key_text(entry.first) + ": ";
-    write_inline(entry.second, out);
-    first = false;
-  }
-  for (const ConfigNode& item : node.items()) {
-    if (!first) out += ", ";
-    write_inline(item, out);
-    first = false;
-  }
-  out += node.is_map() ? '}' : ']';
-}
-
 // `lead` stands before the first line ("  - "), `indent` before each further one.
 void write_block(const ConfigNode& node, const std::string& lead, const std::string& indent,
                  std::vector<ConfigLine>& lines) {
@@ -114,12 +89,9 @@ void write_block(const ConfigNode& node, const std::string& lead, const std::str
   std::string before = lead;
   for (const ConfigNode::Entry& entry : node.entries()) {
     const std::string head = before + key_text(entry.first) + ":";
-    if (fits_line(entry.second)) {
-      lines.push_back({head + " " + write_config_inline(entry.second), &entry.second});
-    } else {
-      lines.push_back({head, nullptr});
-      write_block(entry.second, indent + "  ", indent + "  ", lines);
-    }
+    const bool one_line = fits_line(entry.second);
+    if (!one_line) lines.push_back({head, nullptr});
+    write_block(entry.second, one_line ? head + " " : indent + "  ", indent + "  ", lines);
     before = indent;
   }
   for (const ConfigNode& item : node.items()) {
@@ -139,24 +111,14 @@ void refuse_at(const Location& where, Code code, const std::string& message, con
   throw Error(ErrorKind::config, code, where.text() + ": " + message, remedy);
 }
 
-ConfigNode ConfigNode::make_scalar(std::string text, bool quoted, Location where) {
-  ConfigNode node(Kind::scalar, std::move(where));
-  node.text_ = std::move(text);
-  node.quoted_ = quoted;
-  return node;
-}
-
-ConfigNode ConfigNode::make_list(std::vector<ConfigNode> items, Location where) {
-  ConfigNode node(Kind::list, std::move(where));
-  node.items_ = std::move(items);
-  return node;
-}
-
-ConfigNode ConfigNode::make_map(std::vector<Entry> entries, Location where) {
-  ConfigNode node(Kind::map, std::move(where));
-  node.entries_ = std::move(entries);
-  return node;
-}
+ConfigNode::ConfigNode(Kind kind, Location where, bool quoted, std::string text, std::vector<ConfigNode> items,
+                       std::vector<Entry> entries)
+    : kind_(kind),
+      quoted_(quoted),
+      text_(std::move(text)),
+      items_(std::move(items)),
+      entries_(std::move(entries)),
+      where_(std::move(where)) {}
 
 const ConfigNode* ConfigNode::find(std::string_view key) const {
   for (const Entry& entry : entries_) {
@@ -226,9 +188,11 @@ bool looks_typed(std::string_view text) {
 bool is_plain_text(std::string_view text) { return survives_unquoted(text) && !looks_typed(text); }
 
 std::string write_config_inline(const ConfigNode& node) {
-  std::string out;
-  write_inline(node, out);
-  return out;
+  if (is_leaf(node)) return scalar_text(node);
+  std::vector<std::string> parts;
+  for (const auto& [key, value] : node.entries()) parts.push_back(key_text(key) + ": " + write_config_inline(value));
+  for (const ConfigNode& item : node.items()) parts.push_back(write_config_inline(item));
+  return node.is_map() ? "{" + join(parts) + "}" : "[" + join(parts) + "]";
 }
 
 std::vector<ConfigLine> config_lines(const ConfigNode& node) {

@@ -31,9 +31,15 @@ class ConfigNode {
 
   static ConfigNode make_null(Location where) { return {Kind::null, std::move(where)}; }
   /// `quoted`: the scalar was written in quotes, so it is text whatever it looks like.
-  static ConfigNode make_scalar(std::string text, bool quoted, Location where);
-  static ConfigNode make_list(std::vector<ConfigNode> items, Location where);
-  static ConfigNode make_map(std::vector<Entry> entries, Location where);
+  static ConfigNode make_scalar(std::string text, bool quoted, Location where) {
+    return {Kind::scalar, std::move(where), quoted, std::move(text)};
+  }
+  static ConfigNode make_list(std::vector<ConfigNode> items, Location where) {
+    return {Kind::list, std::move(where), false, {}, std::move(items)};
+  }
+  static ConfigNode make_map(std::vector<Entry> entries, Location where) {
+    return {Kind::map, std::move(where), false, {}, {}, std::move(entries)};
+  }
   /// What to_node(item) makes of each of `items`.
   template <class Items, class ToNode>
   static ConfigNode list_of(const Items& items, const ToNode& to_node) {
@@ -80,7 +86,8 @@ class ConfigNode {
   ConfigNode without(std::string_view key) const;
 
  private:
-  ConfigNode(Kind kind, Location where) : kind_(kind), where_(std::move(where)) {}
+  ConfigNode(Kind kind, Location where, bool quoted = false, std::string text = {}, std::vector<ConfigNode> items = {},
+             std::vector<Entry> entries = {});
 
   Kind kind_ = Kind::map;
   bool quoted_ = false;

@@ -87,6 +87,10 @@ constexpr std::array<Pass, 7> kAdam7{
     {{0, 0, 8, 8}, {4, 0, 8, 8}, {0, 4, 4, 8}, {2, 0, 4, 4}, {0, 2, 2, 4}, {1, 0, 2, 2}, {0, 1, 1, 2}}};
 constexpr std::array<Pass, 1> kPlain{{{0, 0, 1, 1}}};
 
+std::span<const Pass> passes_of(const PngHeader& h) {
+  return h.interlace != 0 ? std::span<const Pass>(kAdam7) : std::span<const Pass>(kPlain);
+}
+
 std::uint32_t steps(std::uint32_t size, std::uint32_t start, std::uint32_t step) {
   return size <= start ? 0 : (size - start + step - 1) / step;
 }
@@ -229,9 +233,8 @@ template <class T>
 void unpack_samples(const PngHeader& h, std::vector<std::uint8_t>& raw, std::vector<T>& samples) {
   const auto channels = static_cast<std::size_t>(h.channels());
   samples.resize(std::size_t{h.width} * h.height * channels);
-  const std::span<const Pass> passes = h.interlace != 0 ? std::span<const Pass>(kAdam7) : std::span<const Pass>(kPlain);
   std::size_t at = 0;
-  for (const Pass& pass : passes) {
+  for (const Pass& pass : passes_of(h)) {
     const std::uint32_t width = steps(h.width, pass.x0, pass.dx), height = steps(h.height, pass.y0, pass.dy);
     if (width == 0 || height == 0) continue;
     unfilter_pass(h, width, height, raw, at, [&](std::uint32_t y, const std::uint8_t* row) {
@@ -294,13 +297,9 @@ PngImage decode_png(std::span<const std::byte> bytes) {
   if (image.palette && (image.palette_rgb.empty() || image.palette_rgb.size() % 3 != 0))
     damaged("is damaged: its palette is missing");
   std::size_t size = 0;
-  if (h.interlace != 0) {
-    for (const Pass& p : kAdam7) {
-      const std::uint32_t w = steps(h.width, p.x0, p.dx);
-      if (w > 0) size += (row_bytes(h, w) + 1) * steps(h.height, p.y0, p.dy);
-    }
-  } else {
-    size = (row_bytes(h, h.width) + 1) * h.height;
+  for (const Pass& p : passes_of(h)) {
+    const std::uint32_t w = steps(h.width, p.x0, p.dx);
+    if (w > 0) size += (row_bytes(h, w) + 1) * steps(h.height, p.y0, p.dy);
   }
   std::vector<std::uint8_t> raw = inflate_data(parts, size);
   if (h.bits == 16) {
@@ -393,11 +392,8 @@ Image<std::uint8_t> rgb_of(PngImage png, int alpha_background, std::vector<std::
     unsigned rgb[3], alpha = 255;
     if (png.palette) {
       const std::size_t index = png.sample(first);
-      if (index * 3 + 2 >= png.palette_rgb.size()) {
-        throw Error(ErrorKind::data, "files.image.damaged",
-                    "PNG is damaged: palette index " + std::to_string(index) + " has no colour",
-                    "export the file again");
-      }
+      if (index * 3 + 2 >= png.palette_rgb.size())
+        damaged("is damaged: palette index " + std::to_string(index) + " has no colour");
       for (std::size_t c = 0; c < 3; ++c) rgb[c] = png.palette_rgb[index * 3 + c];
       if (index < png.palette_alpha.size()) alpha = png.palette_alpha[index];
     } else {
@@ -461,8 +457,7 @@ int png_orientation(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   file.seekg(8);
   for (std::array<char, 8> head{}; file.read(head.data(), 8);) {
-    std::uint32_t length = 0;
-    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(head[i]);
+    const std::uint32_t length = big32(reinterpret_cast<const std::uint8_t*>(head.data()));
     if (std::string_view(head.data() + 4, 4) == "eXIf") {
       std::string exif(std::min(length, kMostBytes), '\0');
       return file.read(exif.data(), static_cast<std::streamsize>(exif.size())) ? exif_orientation(exif) : 1;

@@ -273,11 +273,7 @@ auto with_entry(const std::string& path, std::string_view file, const ZipEntry& 
 }  // namespace
 
 NpzFile::NpzFile(std::string path) : path_(std::move(path)), file_(read_text_file(path_, kMaxArrayFileBytes)) {
-  try {
-    entries_ = zip_entries(file_);
-  } catch (const Error& e) {
-    throw Error(e.kind(), e.code(), "'" + path_ + "': " + e.message(), e.remedy());
-  }
+  naming(path_, [&] { entries_ = zip_entries(file_); });
   for (const ZipEntry& entry : entries_) keys_.push_back(key_of(entry.name));
 }
 
