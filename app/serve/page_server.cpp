@@ -10,7 +10,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cerrno>
 #include <chrono>
 #include <cmath>
@@ -22,6 +21,7 @@
 #include "app/serve/page_requests.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/text.h"
 #include "formats/image_io.h"
 #include "system/files.h"
 
@@ -329,9 +329,7 @@ bool PageHost::is_token(const std::string& path) const {
 bool PageHost::is_host(const std::string& host) const {
   const std::size_t colon = host.rfind(':');
   if (colon == std::string::npos || host.substr(colon + 1) != std::to_string(port_)) return false;
-  std::string name = host.substr(0, colon);
-  std::transform(name.begin(), name.end(), name.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  const std::string name = lower_case(host.substr(0, colon));
   return name == "127.0.0.1" || name == "localhost" || name == address_ || (address_ == kEveryAddress && is_ipv4(name));
 }
 

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cerrno>
 #include <chrono>
 #include <cmath>
@@ -244,8 +243,8 @@ std::string video_format(const std::string& path) {
   constexpr std::pair<const char*, const char*> kFormats[] = {{".mp4", "mp4"},      {".m4v", "mp4"},   {".mov", "mov"},
                                                               {".mkv", "matroska"}, {".webm", "webm"}, {".avi", "avi"},
                                                               {".ogv", "ogg"},      {".gif", "gif"}};
-  std::string ending = fs::path(path).extension().string(), known;
-  for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  const std::string ending = lower_case(fs::path(path).extension().string());
+  std::string known;
   for (const auto& [name, format] : kFormats) {
     if (ending == name) return format;
     known += (known.empty() ? "" : ", ") + std::string(name);

@@ -1,4 +1,5 @@
-// The configuration tree: every node knows its file, line and column. yaml_reader.cpp makes it of YAML.
+// The configuration tree: every node knows its file, line and column. yaml_reader.cpp makes it of YAML, explain.cpp
+// writes it.
 #pragma once
 
 #include <optional>
@@ -118,13 +119,5 @@ std::string write_config_inline(const ConfigNode& node);
 bool looks_typed(std::string_view text);
 /// True for a text that can stand unquoted anywhere in YAML and is read back as that same text.
 bool is_plain_text(std::string_view text);
-
-/// One line of written YAML and the node whose value stands on it (nullptr: a bare key or dash).
-struct ConfigLine {
-  std::string text;
-  const ConfigNode* node = nullptr;
-};
-/// What write_config joins, for writers that add comments; the pointers live as long as `node`.
-std::vector<ConfigLine> config_lines(const ConfigNode& node);
 
 }  // namespace semfield

@@ -146,9 +146,8 @@ const ConfigNode* telling(const ConfigNode& item) {
 
 std::string item_key(const ConfigNode& list, std::size_t index) {
   const ConfigNode* own = telling(list.items()[index]);
-  const auto is_letter = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_'; };
-  const auto is_plain = [&](char c) { return is_letter(c) || (c >= '0' && c <= '9') || c == '-'; };
-  if (own == nullptr || own->text().empty() || !is_letter(own->text().front()) ||
+  const auto is_plain = [](char c) { return is_alnum(c) || c == '_' || c == '-'; };
+  if (own == nullptr || own->text().empty() || is_digit(own->text()[0]) || own->text()[0] == '-' ||
       !std::all_of(own->text().begin(), own->text().end(), is_plain))
     return std::to_string(index);
   for (std::size_t i = 0; i < list.items().size(); ++i) {

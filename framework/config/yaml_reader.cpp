@@ -44,7 +44,7 @@ class Source {
     }
     normalise(yaml);
     for (std::size_t i = 0; i < text_.size(); ++i) {
-      characters_.push_back(characters_.back() + (is_continued(text_[i]) ? 0 : 1));
+      characters_.push_back(characters_.back() + (continues_utf8(text_[i]) ? 0 : 1));
       if (text_[i] == '\n') lines_.push_back(i + 1);
     }
     check_characters();
@@ -88,7 +88,6 @@ class Source {
   }
 
  private:
-  static bool is_continued(char c) { return (static_cast<unsigned char>(c) & 0xC0u) == 0x80u; }
   static std::size_t offset_of(const YAML::Mark& mark) { return static_cast<std::size_t>(std::max(mark.pos, 0)); }
 
   // Drops a byte order mark and turns CR LF and CR into LF.

@@ -119,6 +119,11 @@ void append_parts(std::uint32_t c, std::string& out) {
 
 }  // namespace
 
+std::string lower_case(std::string text) {
+  for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+  return text;
+}
+
 std::vector<std::string_view> words_of(std::string_view text) {
   constexpr std::string_view kBlank = " \t\r\n\v\f";
   std::vector<std::string_view> out;
@@ -165,7 +170,7 @@ std::size_t utf8_length(std::string_view text, std::size_t i) {
   const auto at_byte = [&](std::size_t k) {
     return k < text.size() ? static_cast<unsigned char>(text[k]) : static_cast<unsigned char>(0);
   };
-  const auto continues = [&](std::size_t k) { return (at_byte(k) & 0xC0u) == 0x80u; };
+  const auto continues = [&](std::size_t k) { return k < text.size() && continues_utf8(text[k]); };
   const unsigned a = at_byte(i), b = at_byte(i + 1);
   if (a < 0x80) return 1;
   if (a >= 0xC2 && a <= 0xDF) return continues(i + 1) ? 2 : 0;
@@ -199,8 +204,7 @@ bool is_line_of_text(std::string_view text) {
 
 std::string shell_word(std::string_view text) {
   const auto plain = [](char c) {
-    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
-           std::string_view("_@%+=:,./-").find(c) != std::string_view::npos;
+    return is_alnum(c) || std::string_view("_@%+=:,./-").find(c) != std::string_view::npos;
   };
   if (!text.empty() && std::all_of(text.begin(), text.end(), plain)) return std::string(text);
   std::string word = "'";

@@ -14,6 +14,10 @@ namespace semfield {
 
 /// '0' to '9', in every locale.
 constexpr bool is_digit(char c) { return c >= '0' && c <= '9'; }
+/// A digit or a letter of ASCII, in every locale.
+constexpr bool is_alnum(char c) { return is_digit(c) || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
+/// The text with small letters instead of ASCII's capitals.
+std::string lower_case(std::string text);
 
 /// Words between blanks, tabs, line ends; views into `text`.
 std::vector<std::string_view> words_of(std::string_view text);
@@ -42,6 +46,9 @@ std::string_view parse_numbers(std::string_view text, std::vector<double>& out);
 
 /// Bytes of the character that begins at `i`, by well-formed UTF-8 [Unicode, table 3-7]; 0 where none does.
 std::size_t utf8_length(std::string_view text, std::size_t i);
+
+/// Whether the byte goes on a character of UTF-8 that an earlier one begins.
+constexpr bool continues_utf8(char c) { return (static_cast<unsigned char>(c) & 0xC0u) == 0x80u; }
 
 /// The character that the text begins with, whose bytes utf8_length counted.
 std::uint32_t character_at(std::string_view text, std::size_t length);

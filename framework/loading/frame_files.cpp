@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <iterator>
@@ -149,11 +148,7 @@ std::string in_folder(const fs::path& folder, const std::string& name) {
   return fs::is_directory(folder) ? (folder / name).string() : "";
 }
 
-std::string ending_of(const std::string& path) {
-  std::string out = fs::path(path).extension().string();
-  for (char& c : out) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return out;
-}
+std::string ending_of(const std::string& path) { return lower_case(fs::path(path).extension().string()); }
 
 std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions) {
   std::vector<std::string> found;

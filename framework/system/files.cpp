@@ -12,7 +12,6 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
-#include <cctype>
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
@@ -160,9 +159,8 @@ std::string holder_of(int descriptor) {
   std::istringstream words(size > 0 ? text.data() : "");
   std::string pid, host;
   words >> pid >> host;
-  const auto digit = [](unsigned char c) { return std::isdigit(c) != 0; };
-  const auto of_a_name = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '.' || c == '_'; };
-  if (pid.empty() || !std::all_of(pid.begin(), pid.end(), digit)) return "process ?";
+  const auto of_a_name = [](char c) { return is_alnum(c) || c == '-' || c == '.' || c == '_'; };
+  if (pid.empty() || !std::all_of(pid.begin(), pid.end(), is_digit)) return "process ?";
   if (host.empty() || !std::all_of(host.begin(), host.end(), of_a_name)) return "process " + pid;
   return "process " + pid + " on " + host;
 }

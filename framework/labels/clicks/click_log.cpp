@@ -301,9 +301,7 @@ std::string LabelEvent::*name_behind(std::string_view key, LabelEventKind kind) 
 }  // namespace
 
 bool is_event_id(std::string_view text) {
-  const auto allowed = [](char c) {
-    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_';
-  };
+  const auto allowed = [](char c) { return is_alnum(c) || c == '-' || c == '_'; };
   return !text.empty() && text.size() <= 64 && std::all_of(text.begin(), text.end(), allowed);
 }
 

@@ -59,7 +59,7 @@ enum CsvColumn : std::size_t { kId, kName, kRed, kGreen, kBlue, kIgnore, kColor 
 
 // "true" and what spreadsheets make of it; "" is false.
 bool truth_of(std::string text, const std::string& place) {
-  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  text = lower_case(std::move(text));
   if (text == "true" || text == "1" || text == "yes") return true;
   if (text.empty() || text == "false" || text == "0" || text == "no") return false;
   refuse("classes.table.value", place, "ignore: expected true or false, got '" + text + "'");

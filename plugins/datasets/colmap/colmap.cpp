@@ -1,6 +1,5 @@
 // COLMAP sparse models with their images; label images beside them where there are any.
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <initializer_list>
@@ -165,8 +164,7 @@ constexpr std::size_t kFewest = 3;
 
 // What files of camera poses are called, wherever they come from.
 bool may_hold_poses(const fs::path& file) {
-  std::string name = file.filename().string();
-  for (char& c : name) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  const std::string name = lower_case(file.filename().string());
   const auto has = [&](const char* part) { return name.find(part) != std::string::npos; };
   const auto ends = [&](const char* ending) { return name.ends_with(ending); };
   return (has("traj") || has("pose") || has("groundtruth") || has("camera") || has("extrinsic") || has("transforms")) &&
