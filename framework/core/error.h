@@ -123,15 +123,22 @@ class Diagnostics {
   int errors_ = 0;
 };
 
-/// Does what may fail. Where somebody collects mistakes, an Error is noted there, and the work left undone.
+/// Does what may fail. An Error is noted with the place, and the work left undone: false.
+template <class Work>
+bool noting(Diagnostics& problems, const std::string& where, const Work& work) {
+  try {
+    work();
+    return true;
+  } catch (const Error& error) {
+    problems.error(error.code(), where, error.message(), error.remedy());
+    return false;
+  }
+}
+/// The same where somebody collects mistakes; null: nobody does, and it throws.
 template <class Work>
 void noting(Diagnostics* problems, const Work& work) {
   if (problems == nullptr) return work();
-  try {
-    work();
-  } catch (const Error& error) {
-    problems->error(error.code(), "", error.message(), error.remedy());
-  }
+  noting(*problems, "", work);
 }
 
 /// The known name closest to `word` by edit distance (at most a third of its length), or "" when none is near.

@@ -262,11 +262,7 @@ void validate(const LabelParams& p, Diagnostics& diagnostics) {
     diagnostics.error("config.value.conflict", "scene.labels.frames", "a number of frames and names exclude each other",
                       "drop scene.labels.frames");
   if (p.mode == LabelMode::named) return;
-  try {
-    (void)label_frame_count(p.frames, 1 << 30);
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), "", e.message(), e.remedy());
-  }
+  noting(diagnostics, "", [&] { (void)label_frame_count(p.frames, 1 << 30); });
 }
 
 int label_frame_count(const std::string& frames, int available) {

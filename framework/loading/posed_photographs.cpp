@@ -581,11 +581,7 @@ SceneInfo PosedPhotographs::open(std::vector<PosedPhotograph> all, PhotographRul
         !photo.channels.contains(std::string(kAlphaChannel)))
       frame.channels.push_back(alpha_info(frame.camera));
     for (const auto& [channel, file] : photo.channels) {
-      try {
-        frame.channels.push_back(channel_info(channel, file));
-      } catch (const Error& error) {
-        diagnostics.error(error.code(), place, error.message(), error.remedy());
-      }
+      noting(diagnostics, place, [&] { frame.channels.push_back(channel_info(channel, file)); });
     }
     info_.frames.push_back(std::move(frame));
     photo.confidence = finder.of(photo.confidence);
@@ -602,11 +598,7 @@ SceneInfo PosedPhotographs::open(std::vector<PosedPhotograph> all, PhotographRul
   if (rules_.classes) {
     info_.classes = *rules_.classes;
   } else if (class_file.empty() && !rules_.class_list.empty()) {
-    try {
-      info_.classes = ClassTable(rules_.class_list);
-    } catch (const Error& e) {
-      diagnostics.error(e.code(), root_ + ": 'classes'", e.message(), e.remedy());
-    }
+    noting(diagnostics, root_ + ": 'classes'", [&] { info_.classes = ClassTable(rules_.class_list); });
   } else {
     const std::vector<std::string> usual{folder()};
     info_.classes = load_class_file(class_file, rules_.class_folders.empty() ? usual : rules_.class_folders,

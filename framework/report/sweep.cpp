@@ -309,7 +309,7 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
   Diagnostics found;
   std::string text;
   const std::string& base = variant.base.empty() ? scene.base : variant.base;
-  try {
+  noting(found, "", [&] {
     RunConfig config = read_run_config(compose_config_with(base, set), registry, found);
     config.name = scene.name;
     // Not the working folder: from wherever a sweep is started, its cells are the same.
@@ -323,9 +323,7 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
     if (!training) config.report.training_frames = 0;
     if (training && config.report.training_frames == 0) config.report.training_frames = 1000000;
     if (!found.has_errors()) text = write_config(resolved_config(config));
-  } catch (const Error& error) {
-    found.error(error.code(), "", error.message(), error.remedy());
-  }
+  });
   for (const Diagnostic& finding : found.all()) {
     if (finding.severity != Severity::error || !told.insert(finding.text()).second) continue;
     const std::string where = e.name + " / " + scene.name + " / " + variant.name;

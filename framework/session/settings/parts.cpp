@@ -428,12 +428,8 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
                       "choose one of " + join(registry.names(kind)));
     return slot;
   }
-  try {
-    slot.entry = &registry.get(kind, type->text());
-  } catch (const Error& error) {
-    diagnostics.error(error.code(), type->location().text(), error.message(), error.remedy());
+  if (!noting(diagnostics, type->location().text(), [&] { slot.entry = &registry.get(kind, type->text()); }))
     return slot;
-  }
   slot.params = slot.entry->new_params();
   std::vector<std::string> allowed = other_keys;
   allowed.push_back("type");

@@ -88,12 +88,7 @@ void refuse_gone_keys(ConfigNode& tree, Diagnostics& diagnostics) {
 bool load_modules(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics) {
   bool loaded = true;
   read_items(tree, "plugins", "module files", {}, diagnostics, [&](const ConfigNode& item, const std::string&) {
-    try {
-      load_listed_module(registry, resolve_path(item));
-    } catch (const Error& fault) {
-      diagnostics.error(fault.code(), item.location().text(), fault.message(), fault.remedy());
-      loaded = false;
-    }
+    loaded &= noting(diagnostics, item.location().text(), [&] { load_listed_module(registry, resolve_path(item)); });
   });
   return loaded;
 }

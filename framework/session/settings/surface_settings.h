@@ -87,11 +87,7 @@ inline void validate(const FusionParams& p, Diagnostics& diagnostics) {
   }
   if (p.methods.empty())
     diagnostics.error("config.value.missing", "fuse.methods", "no method is named", "write for example [bayesian]");
-  try {
-    (void)fusion_methods(p.methods);
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), "", e.message(), e.remedy());
-  }
+  noting(diagnostics, "", [&] { (void)fusion_methods(p.methods); });
 }
 
 // How segments of images become objects (objects/).

@@ -67,16 +67,12 @@ constexpr std::size_t kRawIds = 65536;
 // The 16 numbers of a 4 x 4 matrix; nothing when reported.
 std::optional<std::vector<double>> read_matrix(const std::string& path, const std::string& place,
                                                Diagnostics& diagnostics) {
+  std::string text;
   std::vector<double> numbers;
-  try {
-    const std::string text = read_text_file(path, 1 << 16);
-    if (const std::string_view bad = parse_numbers(text, numbers); !bad.empty()) {
-      diagnostics.error("scene.pose.format", place, "'" + path + "': '" + word_list(bad)[0] + "' is not a number",
-                        "export the scene again");
-      return std::nullopt;
-    }
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), place, e.message(), e.remedy());
+  if (!noting(diagnostics, place, [&] { text = read_text_file(path, 1 << 16); })) return std::nullopt;
+  if (const std::string_view bad = parse_numbers(text, numbers); !bad.empty()) {
+    diagnostics.error("scene.pose.format", place, "'" + path + "': '" + word_list(bad)[0] + "' is not a number",
+                      "export the scene again");
     return std::nullopt;
   }
   if (numbers.size() == 16) return numbers;
