@@ -202,14 +202,11 @@ std::vector<std::string>& Options::list(const std::string& name, const std::stri
   // CLI11's own delimiter drops what is empty between two commas.
   const std::function<void(const std::vector<std::string>&)> take = [&into, flag, choices](const auto& given) {
     for (const std::string& value : given) {
-      for (std::size_t at = 0; at <= value.size();) {
-        const std::size_t comma = std::min(value.find(',', at), value.size());
-        std::string item = value.substr(at, comma - at);
-        std::string wrong = item.empty() ? "an item between the commas is empty" : "";
+      for (const std::string_view part : parts_of(value, ',')) {
+        std::string item(part), wrong = item.empty() ? "an item between the commas is empty" : "";
         if (wrong.empty() && !choices.empty()) wrong = one_of(choices)(item);
         if (!wrong.empty()) throw CLI::ValidationError(flag, wrong);
         into.push_back(std::move(item));
-        at = comma + 1;
       }
     }
   };

@@ -31,6 +31,7 @@
 
 #include "core/error.h"
 #include "core/non_copyable.h"
+#include "core/text.h"
 
 namespace semfield::app {
 
@@ -102,20 +103,10 @@ namespace {
 constexpr std::size_t kMostHeadBytes = 16384;
 constexpr std::string_view kLineEnd = "\r\n";
 
-char small(char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; }
-
-std::string small_letters(std::string_view text) {
-  std::string out(text);
-  std::transform(out.begin(), out.end(), out.begin(), small);
-  return out;
-}
-
 // The characters of a method or a header's name.
 bool is_token(std::string_view text) {
   return !text.empty() && std::all_of(text.begin(), text.end(), [](char c) {
-    const char l = small(c);
-    return (l >= 'a' && l <= 'z') || (c >= '0' && c <= '9') ||
-           std::string_view("!#$%&'*+-.^_`|~").find(c) != std::string_view::npos;
+    return is_alnum(c) || std::string_view("!#$%&'*+-.^_`|~").find(c) != std::string_view::npos;
   });
 }
 
@@ -129,12 +120,9 @@ std::string_view trimmed(std::string_view text) {
 }
 
 bool has_word(std::string_view list, std::string_view word) {
-  while (!list.empty()) {
-    const std::string_view item = list.substr(0, list.find(','));
-    list.remove_prefix(std::min(list.size(), item.size() + 1));
-    if (small_letters(trimmed(item)) == word) return true;
-  }
-  return false;
+  const std::vector<std::string_view> items = parts_of(list, ',');
+  return std::any_of(items.begin(), items.end(),
+                     [&](std::string_view item) { return lower_case(std::string(trimmed(item))) == word; });
 }
 
 }  // namespace
@@ -202,7 +190,7 @@ void HttpReader::parse_head(std::string_view head, HttpRequest& request) {
     if (colon == std::string_view::npos || !is_token(text.substr(0, colon)) ||
         !std::all_of(text.begin(), text.end(), is_text))
       refuse(400, "a header of the request cannot be read");
-    request.headers.emplace_back(small_letters(text.substr(0, colon)), trimmed(text.substr(colon + 1)));
+    request.headers.emplace_back(lower_case(std::string(text.substr(0, colon))), trimmed(text.substr(colon + 1)));
   }
 }
 
@@ -211,7 +199,7 @@ void HttpReader::read_framing(const HttpRequest& request) {
   if (lengths + codings > 1) refuse(400, "the request has two lengths");
   for (const auto& [name, value] : request.headers)
     if (name == "connection" && has_word(value, "close")) keeps_ = false;
-  expects_continue_ = small_letters(request.header("expect").value_or("")) == "100-continue";
+  expects_continue_ = lower_case(request.header("expect").value_or("")) == "100-continue";
   if (codings > 0) refuse(411, "a body needs its length: Content-Length");
   length_ = 0;
   if (lengths > 0) {

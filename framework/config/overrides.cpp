@@ -64,15 +64,11 @@ void set_at(ConfigNode& node, const std::vector<std::string>& segments, std::siz
 
 void apply_override(ConfigNode& root, const ConfigOverride& over) {
   const Location& origin = over.value.location();
-  std::vector<std::string> segments;
-  for (std::size_t begin = 0; begin <= over.key.size();) {
-    const std::size_t end = std::min(over.key.find('.', begin), over.key.size());
-    segments.push_back(over.key.substr(begin, end - begin));
-    if (segments.back().empty())
-      refuse_at(origin, "config.set.key", "empty key in '" + over.key + "'",
-                "write sections and keys with dots between: train.steps");
-    begin = end + 1;
-  }
+  const std::vector<std::string_view> parts = parts_of(over.key, '.');
+  const std::vector<std::string> segments(parts.begin(), parts.end());
+  if (std::find(parts.begin(), parts.end(), "") != parts.end())
+    refuse_at(origin, "config.set.key", "empty key in '" + over.key + "'",
+              "write sections and keys with dots between: train.steps");
   if (segments.size() > 32) refuse_at(origin, "config.set.key", "key path longer than 32 levels");
   if (segments[0] == "include")
     refuse_at(origin, "config.set.key", "include: files are included by a config, not by an override");

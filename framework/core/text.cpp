@@ -140,6 +140,13 @@ std::vector<std::string> word_list(std::string_view text) {
   return {words.begin(), words.end()};
 }
 
+std::vector<std::string_view> parts_of(std::string_view text, char separator) {
+  std::vector<std::string_view> out;
+  for (std::size_t at = 0; at <= text.size(); at += out.back().size() + 1)
+    out.push_back(text.substr(at, text.find(separator, at) - at));
+  return out;
+}
+
 bool next_line(std::string_view& text, std::string_view& line) {
   if (text.empty()) return false;
   const std::size_t end = text.find('\n');

@@ -24,6 +24,9 @@ std::vector<std::string_view> words_of(std::string_view text);
 /// The same as texts of their own.
 std::vector<std::string> word_list(std::string_view text);
 
+/// What stands between the separators, empty parts too; views into `text`.
+std::vector<std::string_view> parts_of(std::string_view text, char separator);
+
 /// The next line without its end, and `text` shortened by it; a carriage return before the end is dropped too. False
 /// when `text` is empty.
 bool next_line(std::string_view& text, std::string_view& line);

@@ -12,7 +12,6 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <sstream>
 #include <string_view>
 
 #include "core/text.h"
@@ -72,11 +71,10 @@ std::string real_path(const fs::path& path) {
 std::vector<std::string> trusted_folders() {
   std::vector<std::string> folders;
   const char* const listed = std::getenv("SEMFIELD_PLUGIN_PATH");
-  std::istringstream stream(listed == nullptr ? "" : listed);
-  for (std::string folder; std::getline(stream, folder, ':');) {
+  for (const std::string_view folder : parts_of(listed == nullptr ? "" : listed, ':')) {
     if (folder.empty()) continue;
     if (!fs::path(folder).is_absolute())
-      fail("config.environment.value", "SEMFIELD_PLUGIN_PATH: '" + folder + "' is not an absolute path",
+      fail("config.environment.value", "SEMFIELD_PLUGIN_PATH: '" + std::string(folder) + "' is not an absolute path",
            "name folders from the root, separated by colons");
     folders.push_back(real_path(folder));
   }

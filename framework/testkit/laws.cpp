@@ -18,15 +18,9 @@ namespace {
 
 // A value as it would stand in a configuration.
 ConfigNode node_of(const std::string& value, bool is_list) {
-  const auto scalar = [](std::string text) { return ConfigNode::make_scalar(std::move(text), false, {}); };
+  const auto scalar = [](std::string_view text) { return ConfigNode::make_scalar(std::string(text), false, {}); };
   if (!is_list) return scalar(value);
-  std::vector<ConfigNode> items;
-  for (std::size_t begin = 0; !value.empty() && begin <= value.size();) {
-    const std::size_t end = std::min(value.find(',', begin), value.size());
-    items.push_back(scalar(value.substr(begin, end - begin)));
-    begin = end + 1;
-  }
-  return ConfigNode::make_list(std::move(items), {});
+  return ConfigNode::list_of(value.empty() ? std::vector<std::string_view>() : parts_of(value, ','), scalar);
 }
 
 }  // namespace
