@@ -35,12 +35,8 @@ std::string printable(const std::string& text) {
 // The message without what differs from place to place: words with a digit or a slash are numbers and paths.
 std::string kind_of(const std::string& message) {
   std::string kind;
-  for (std::size_t at = 0; at < message.size();) {
-    const std::size_t end = std::min(message.find(' ', at), message.size());
-    const std::string word = message.substr(at, end - at);
-    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
-    at = end + 1;
-  }
+  for (const std::string_view word : parts_of(message, ' '))
+    kind += word.find_first_of("0123456789/") == std::string::npos ? std::string(word) + ' ' : "# ";
   return kind;
 }
 

@@ -23,17 +23,17 @@ void Workspace::clear_blocks() {
     for (const Block& block : blocks_) source_.release(block.begin);
   }
   blocks_.clear();
+  block_ = used_ = 0;
 }
 
 void Workspace::forget() {
   clear_blocks();
-  block_ = used_ = high_water_ = 0;
+  high_water_ = 0;
 }
 
 void Workspace::reserve(std::size_t bytes) {
   if (bytes == 0 || (blocks_.size() == 1 && blocks_.front().bytes >= bytes)) return;
   clear_blocks();
-  block_ = used_ = 0;
   add_block(std::max(kMinBlock, merged_bytes(bytes)));
 }
 
@@ -84,8 +84,6 @@ void Workspace::release(std::size_t block, std::size_t used, std::size_t total) 
   total_ = total;
   if (total_ > 0 || blocks_.size() <= 1) return;
   clear_blocks();
-  block_ = 0;
-  used_ = 0;
   try {
     add_block(merged_bytes(high_water_));
   } catch (...) {

@@ -27,8 +27,6 @@ namespace fs = std::filesystem;
 
 namespace {
 
-std::string cause_text(int cause) { return std::strerror(cause); }
-
 // Calls that POSIX lets a signal interrupt are made again.
 template <class Call>
 auto uninterrupted(Call&& call) {
@@ -79,6 +77,13 @@ bool is_temporary_name(std::string_view name) {
   name.remove_suffix(4);
   const std::size_t digits = name.size() - 1 - name.find_last_not_of("0123456789");
   return digits > 0 && digits + 2 < name.size() && name[name.size() - digits - 1] == '.';
+}
+
+std::vector<fs::directory_entry> entries_of(const fs::path& folder, std::error_code& failed) {
+  std::vector<fs::directory_entry> entries;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
+    entries.push_back(*it);
+  return entries;
 }
 
 // Nobody holds its lock, so nobody writes it any more. Never a link, never another kind of file.
@@ -185,10 +190,9 @@ struct Entry {
 
 std::uint64_t bytes_of(const fs::path& folder) {
   std::uint64_t sum = 0;
-  std::error_code failed;
-  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
-    std::error_code gone;
-    const auto size = it->file_size(gone);
+  std::error_code failed, gone;
+  for (const fs::directory_entry& file : entries_of(folder, failed)) {
+    const auto size = file.file_size(gone);
     if (!gone) sum += size;
   }
   return sum;
@@ -220,7 +224,7 @@ FileDescriptor open_for_reading(const std::string& path) {
   if (file < 0) {
     const int cause = errno;
     if (cause == ENXIO) refuse_special(path, S_IFSOCK);
-    throw Error(ErrorKind::no_input, "files.read.missing", "cannot open '" + path + "': " + cause_text(cause),
+    throw Error(ErrorKind::no_input, "files.read.missing", "cannot open '" + path + "': " + std::strerror(cause),
                 cause == ENOENT ? "check the path" : "check the permissions");
   }
   struct stat about {};
@@ -247,7 +251,7 @@ std::string read_file_start(const std::string& path, std::size_t bytes) {
         uninterrupted([&] { return ::read(file, block.data(), std::min(block.size(), bytes - out.size())); });
     if (got == 0) break;
     if (got < 0)
-      throw Error(ErrorKind::no_input, "files.read.failed", "cannot read '" + path + "': " + cause_text(errno),
+      throw Error(ErrorKind::no_input, "files.read.failed", "cannot read '" + path + "': " + std::strerror(errno),
                   "check the path");
     out.append(block.data(), static_cast<std::size_t>(got));
   }
@@ -255,14 +259,14 @@ std::string read_file_start(const std::string& path, std::size_t bytes) {
 }
 
 Error write_error(std::string_view doing, const std::string& path, int cause, std::uint64_t needed_bytes) {
-  std::string text = cause_text(cause);
+  std::string text = std::strerror(cause);
   if (cause == ENOSPC || cause == EDQUOT) {
     text = "disk full: need " + std::to_string(needed_bytes) + " bytes";
     struct statvfs disk {};
     if (::statvfs(folder_of(path).c_str(), &disk) == 0) {
       text += ", have " + std::to_string(static_cast<std::uint64_t>(disk.f_bavail) * disk.f_frsize);
     }
-    if (cause == EDQUOT) text += " (" + cause_text(cause) + ")";
+    if (cause == EDQUOT) text += std::string(" (") + std::strerror(cause) + ")";
   } else if (cause == EFBIG) {
     text = "the limit of a file's size is reached: need " + std::to_string(needed_bytes) + " bytes";
     rlimit limit{};
@@ -309,12 +313,11 @@ void sync_file(int file, const std::string& path) {
 }
 
 int remove_stale_temporaries(const std::string& folder) {
-  std::vector<std::string> found;
-  std::error_code error;
-  for (std::filesystem::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
-    if (is_temporary_name(entry->path().filename().string())) found.push_back(entry->path().string());
-  }
-  return static_cast<int>(std::count_if(found.begin(), found.end(), remove_if_stale));
+  std::error_code unreadable;
+  const auto entries = entries_of(folder, unreadable);
+  return static_cast<int>(std::count_if(entries.begin(), entries.end(), [](const fs::directory_entry& entry) {
+    return is_temporary_name(entry.path().filename().string()) && remove_if_stale(entry.path().string());
+  }));
 }
 
 void remove_own_temporaries() noexcept {
@@ -483,10 +486,8 @@ std::string shared_file(const std::string& relative) {
 }
 
 std::vector<fs::directory_entry> sorted_folder(const std::string& folder) {
-  std::vector<fs::directory_entry> entries;
   std::error_code error;
-  for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error))
-    entries.push_back(*entry);
+  std::vector<fs::directory_entry> entries = entries_of(folder, error);
   if (error) {
     throw Error(ErrorKind::no_input, "files.folder.unreadable",
                 "cannot read the folder '" + folder + "': " + error.message(),
@@ -517,17 +518,16 @@ std::uint64_t cache_limit() {
 }
 
 void use_cache_entry(const std::string& entry, std::uint64_t limit) {
-  std::error_code failed;
+  std::error_code failed, gone;
   const fs::path own(entry);
   fs::last_write_time(own, fs::file_time_type::clock::now(), failed);
   std::vector<Entry> entries;
   std::uint64_t sum = 0;
-  for (fs::directory_iterator it(own.parent_path(), failed), end; !failed && it != end; it.increment(failed)) {
-    std::error_code gone;
-    if (!it->is_directory(gone)) continue;
-    const auto used = it->last_write_time(gone);
+  for (const fs::directory_entry& one : entries_of(own.parent_path(), failed)) {
+    if (!one.is_directory(gone)) continue;
+    const auto used = one.last_write_time(gone);
     if (gone) continue;
-    entries.push_back({it->path(), used, bytes_of(it->path())});
+    entries.push_back({one.path(), used, bytes_of(one.path())});
     sum += entries.back().bytes;
   }
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.used < b.used; });
