@@ -150,13 +150,6 @@ void forget(const std::string& path) {
 
 // A hold on a folder or a file: flock of a lock file in it or beside it.
 
-std::string host_name() {
-  std::array<char, 256> name{};
-  return ::gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
-}
-
-std::string lock_of(const std::string& folder) { return (std::filesystem::path(folder) / ".lock").string(); }
-
 // "PID HOST" of the file as words; it may hold anything.
 std::string holder_of(int descriptor) {
   std::array<char, 320> text{};
@@ -415,7 +408,7 @@ void write_file_atomic(const std::string& path, std::string_view text) {
 }
 
 int FolderLock::take(const std::string& folder, bool may_create) {
-  return lock(lock_of(folder), LOCK_EX, may_create ? O_CREAT : 0);
+  return lock(fs::path(folder) / ".lock", LOCK_EX, may_create ? O_CREAT : 0);
 }
 
 int FolderLock::take_file(const std::string& file) {
@@ -425,7 +418,7 @@ int FolderLock::take_file(const std::string& file) {
   return lock(path.parent_path() / ("." + path.filename().string() + ".lock"), LOCK_EX, O_CREAT);
 }
 
-int FolderLock::share(const std::string& folder) { return lock(lock_of(folder), LOCK_SH, O_CREAT); }
+int FolderLock::share(const std::string& folder) { return lock(fs::path(folder) / ".lock", LOCK_SH, O_CREAT); }
 
 int FolderLock::lock(const std::string& lock_file, int how, int more_flags) {
   descriptor_ = {};
@@ -440,7 +433,9 @@ int FolderLock::lock(const std::string& lock_file, int how, int more_flags) {
 }
 
 int FolderLock::sign(pid_t process) const {
-  const std::string text = std::to_string(process) + " " + host_name() + "\n";
+  std::array<char, 256> host{};
+  if (::gethostname(host.data(), host.size() - 1) != 0) host[0] = '\0';
+  const std::string text = std::to_string(process) + " " + host.data() + "\n";
   errno = 0;
   if (::ftruncate(descriptor_, 0) != 0) return errno;
   const ssize_t written = uninterrupted([&] { return ::pwrite(descriptor_, text.data(), text.size(), 0); });
