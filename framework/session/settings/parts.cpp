@@ -10,7 +10,9 @@
 #include "config/compose.h"
 #include "config/overrides.h"
 #include "labels/clicks/click_log.h"
+#include "model/optim/adam.h"
 #include "model/pass.h"
+#include "plugin/loader.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"
 
@@ -22,7 +24,7 @@ namespace {
 constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
                             channel::opacity, channel::weight, channel::sigma,      channel::logits};
 
-// Reads what of a tree is plugins, and the file of clicks; every fault becomes a finding.
+// Reads what of a tree is no parameter of a fixed section; every fault becomes a finding.
 class Reading {
  public:
   Reading(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics)
@@ -33,6 +35,7 @@ class Reading {
         of_a_run_(!config.base_dir.empty()) {}
 
   void all() {
+    legs();
     click_file();
     if (const ConfigNode* method = tree_.given("objects.method"))
       config_.grouping = slot(PluginKind::grouping, *method, "objects.method");
@@ -103,6 +106,22 @@ class Reading {
             const PluginSlot step = sound_slot(PluginKind::degradation, item, path);
             if (step.entry != nullptr)
               labels.degrade.push_back({step.entry->name, step.entry->degradation(*step.params)});
+          });
+  }
+
+  void legs() {
+    std::vector<ScheduleLeg>& legs = config_.schedule.legs;
+    items("train.schedule.legs", "maps {start, rate, hold_until, end}",
+          "`semfield train --resume RUN --time T` writes it", [&](const ConfigNode& item, const std::string& path) {
+            ScheduleLeg leg;
+            const int errors = diagnostics_.error_count();
+            read_params(item, path, described(leg), diagnostics_);
+            const bool last = &item == &tree_.find_path("train.schedule.legs")->items().back();
+            if (diagnostics_.error_count() == errors &&
+                ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
+              error("config.schedule.legs", item, path + ": the leg does not follow on the one before",
+                    "legs start one after the other, and only the last may have no end yet");
+            legs.push_back(leg);
           });
   }
 
@@ -344,7 +363,18 @@ void read_parts(const ConfigNode& tree, const Registry& registry, RunConfig& con
   Reading(tree, registry, config, diagnostics).all();
 }
 
+bool load_modules(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics) {
+  bool loaded = true;
+  read_items(tree, "plugins", "module files", {}, diagnostics, [&](const ConfigNode& item, const std::string&) {
+    loaded &= noting(diagnostics, item.location().text(), [&] { load_listed_module(registry, resolve_path(item)); });
+  });
+  return loaded;
+}
+
 void write_parts(const RunConfig& config, ConfigNode& tree) {
+  const auto leg_config = [](ScheduleLeg leg) { return params_to_config(described(leg)); };
+  if (!config.schedule.legs.empty())
+    tree.set_path("train.schedule.legs", ConfigNode::list_of(config.schedule.legs, leg_config));
   const LabelConfig& labels = config.labels;
   if (labels.from.reader)
     tree.set_path("scene.labels.from", typed_config(labels.from.type, described(*labels.from.reader)));
@@ -362,6 +392,10 @@ void write_parts(const RunConfig& config, ConfigNode& tree) {
 }
 
 void document_parts(const Registry* plugins, std::vector<SchemaSection>& docs) {
+  ScheduleLeg leg;
+  docs.push_back({"train.schedule.legs[]",
+                  "written by runs that continue beyond their first length: a list of what they train then",
+                  describe_params(described(leg))});
   SemanticBranchConfig branch;
   docs.push_back({"passes[].semantic",
                   "a network of its own for semantics, besides its plugins `position` and `field`, or a list of them "

@@ -1,5 +1,6 @@
-// What of a run's configuration names plugins: the scene with its label files, passes and their networks, heads,
-// losses, groupings. run_config.cpp has the list of the fixed sections, whose keys are where their structs are.
+// What of a run's configuration is no parameter of a fixed section: modules, the scene with its label files, passes and
+// their networks, heads, losses, groupings, legs of the schedule. run_config.cpp has the list of the fixed sections,
+// whose keys are where their structs are.
 #pragma once
 
 #include <cstdint>
@@ -150,6 +151,8 @@ ConfigNode slot_config(const PluginSlot& slot);
 
 // For run_config.cpp, which puts a configuration together.
 
+/// Loads what `plugins` lists. False where a module could not be loaded.
+bool load_modules(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics);
 /// The scene's dataset, its label files and degradations. Paths in them become absolute, but for those of a run.yaml.
 void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics);
 /// Everything else; the fixed sections have been read.

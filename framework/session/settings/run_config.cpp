@@ -13,7 +13,6 @@
 #include "config/compose.h"
 #include "config/config_files.h"
 #include "core/text.h"
-#include "plugin/loader.h"
 
 namespace semfield {
 
@@ -84,32 +83,6 @@ void refuse_gone_keys(ConfigNode& tree, Diagnostics& diagnostics) {
   }
 }
 
-// False where a module could not be loaded.
-bool load_modules(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics) {
-  bool loaded = true;
-  read_items(tree, "plugins", "module files", {}, diagnostics, [&](const ConfigNode& item, const std::string&) {
-    loaded &= noting(diagnostics, item.location().text(), [&] { load_listed_module(registry, resolve_path(item)); });
-  });
-  return loaded;
-}
-
-void read_legs(const ConfigNode& tree, std::vector<ScheduleLeg>& legs, Diagnostics& diagnostics) {
-  constexpr const char* kPath = "train.schedule.legs";
-  read_items(tree, kPath, "maps {start, rate, hold_until, end}", "`semfield train --resume RUN --time T` writes it",
-             diagnostics, [&](const ConfigNode& item, const std::string& path) {
-               ScheduleLeg leg;
-               const int errors = diagnostics.error_count();
-               read_params(item, path, described(leg), diagnostics);
-               const bool last = &item == &tree.find_path(kPath)->items().back();
-               if (diagnostics.error_count() == errors &&
-                   ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
-                 diagnostics.error("config.schedule.legs", item.location().text(),
-                                   path + ": the leg does not follow on the one before",
-                                   "legs start one after the other, and only the last may have no end yet");
-               legs.push_back(leg);
-             });
-}
-
 // Relations between the values of a section; a finding's place is that of its key where the section's map has it.
 template <class Params>
 void validate_section(const ConfigNode& tree, const std::string& path, const Params& params, Diagnostics& diagnostics) {
@@ -159,7 +132,6 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     if (const ConfigNode* node = tree.given(path))
       read_params(*node, path, described(params), diagnostics, other_keys(path));
   });
-  read_legs(tree, config.schedule.legs, diagnostics);
   each_section(config, [&](const char* path, const char*, const auto& params) {
     validate_section(tree, path, params, diagnostics);
   });
@@ -198,9 +170,6 @@ ConfigNode resolved_config(const RunConfig& config) {
   each_section(config, [&](std::string_view path, const char*, auto params) {
     tree.set_path(path, params_to_config(described(params)));
   });
-  const auto leg_config = [](ScheduleLeg leg) { return params_to_config(described(leg)); };
-  if (!config.schedule.legs.empty())
-    tree.set_path("train.schedule.legs", ConfigNode::list_of(config.schedule.legs, leg_config));
   write_parts(config, tree);
   if (!config.plugins.empty()) tree.set("plugins", ConfigNode::list_of(config.plugins, text_node));
   return tree;
@@ -212,10 +181,6 @@ std::vector<SchemaSection> describe_sections(const Registry* plugins) {
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
     docs.push_back({path, sentence, describe_params(described(params))});
   });
-  ScheduleLeg leg;
-  docs.push_back({"train.schedule.legs[]",
-                  "written by runs that continue beyond their first length: a list of what they train then",
-                  describe_params(described(leg))});
   document_parts(plugins, docs);
   return docs;
 }
