@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <system_error>
-#include <unordered_map>
 #include <utility>
 
 #include "config/config_files.h"
@@ -19,25 +18,6 @@ namespace fs = std::filesystem;
 // More than anyone writes, few enough that a file including two others over and over ends at once.
 constexpr int kMaxIncludedFiles = 256;
 constexpr int kMaxIncludeDepth = 32;
-
-void merge_into(ConfigNode& base, const ConfigNode& over) {
-  if (!base.is_map() || !over.is_map() || type_changes(base, over)) {
-    base = over;
-    return;
-  }
-  std::unordered_map<std::string, std::size_t> places;
-  for (const ConfigNode::Entry& entry : base.entries()) places.emplace(entry.first, places.size());
-  for (const ConfigNode::Entry& entry : over.entries()) {
-    const auto [place, is_new] = places.try_emplace(entry.first, base.entries().size());
-    if (is_new) {
-      base.entries().push_back(entry);
-    } else {
-      merge_into(base.entries()[place->second].second, entry.second);
-    }
-  }
-  base.set_location(over.location());
-  base.set_key_location(over.key_location());
-}
 
 /// Loads files with their includes; knows which files are open now (cycles) and how many were read.
 class Loader {
@@ -61,12 +41,11 @@ class Loader {
     if (const ConfigNode* include = local.find("include")) {
       for (const ConfigNode& item : include->is_list() ? include->items() : std::vector<ConfigNode>{*include}) {
         const std::size_t open = open_.size();
-        noting(problems_, [&] { merge_into(composed, load_included(item)); });
+        noting(problems_, [&] { composed = merge_config(composed, load_included(item)); });
         open_.resize(open);
       }
     }
-    merge_into(composed, local.without("include"));
-    return composed;
+    return merge_config(std::move(composed), local.without("include"));
   }
 
  private:
@@ -119,17 +98,6 @@ class Loader {
 };
 
 }  // namespace
-
-bool type_changes(const ConfigNode& base, const ConfigNode& over) {
-  const ConfigNode *old_type = base.find("type"), *new_type = over.find("type");
-  return old_type != nullptr && old_type->is_scalar() && new_type != nullptr && new_type->is_scalar() &&
-         old_type->text() != new_type->text();
-}
-
-ConfigNode merge_config(ConfigNode base, const ConfigNode& over) {
-  merge_into(base, over);
-  return base;
-}
 
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics* problems) {
   ConfigNode tree = Loader(problems).load(find_config(path));

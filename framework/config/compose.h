@@ -1,4 +1,4 @@
-// include, override, replace-on-type-change.
+// A configuration of files: what it includes, and what is set over it.
 #pragma once
 
 #include <string>
@@ -9,12 +9,6 @@
 #include "core/error.h"
 
 namespace semfield {
-
-/// `over` merged onto `base`: maps merge key by key, lists and scalars replace, and a map whose scalar `type` differs
-/// from the base's is replaced whole.
-ConfigNode merge_config(ConfigNode base, const ConfigNode& over);
-/// Whether both have a scalar `type`, and they differ.
-bool type_changes(const ConfigNode& base, const ConfigNode& over);
 
 /// Loads `path`, a name as find_config takes it, resolves `include:` (a file or a list of files relative to the
 /// including file, else among the shipped configurations; cycles refused), then local keys, then `overrides`

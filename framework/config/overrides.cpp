@@ -4,14 +4,40 @@
 #include <cstddef>
 #include <iterator>
 #include <string_view>
+#include <unordered_map>
 #include <utility>
 
-#include "config/compose.h"
 #include "config/explain.h"
 #include "core/text.h"
 
 namespace semfield {
 namespace {
+
+// Whether both have a scalar `type`, and they differ.
+bool type_changes(const ConfigNode& base, const ConfigNode& over) {
+  const ConfigNode *old_type = base.find("type"), *new_type = over.find("type");
+  return old_type != nullptr && old_type->is_scalar() && new_type != nullptr && new_type->is_scalar() &&
+         old_type->text() != new_type->text();
+}
+
+void merge_into(ConfigNode& base, const ConfigNode& over) {
+  if (!base.is_map() || !over.is_map() || type_changes(base, over)) {
+    base = over;
+    return;
+  }
+  std::unordered_map<std::string, std::size_t> places;
+  for (const ConfigNode::Entry& entry : base.entries()) places.emplace(entry.first, places.size());
+  for (const ConfigNode::Entry& entry : over.entries()) {
+    const auto [place, is_new] = places.try_emplace(entry.first, base.entries().size());
+    if (is_new) {
+      base.entries().push_back(entry);
+    } else {
+      merge_into(base.entries()[place->second].second, entry.second);
+    }
+  }
+  base.set_location(over.location());
+  base.set_key_location(over.key_location());
+}
 
 std::string joined(const std::vector<std::string>& segments, std::size_t count) {
   return join(std::vector<std::string>(segments.begin(), segments.begin() + static_cast<std::ptrdiff_t>(count)), ".");
@@ -38,10 +64,7 @@ std::size_t item_of(const ConfigNode& list, const std::string& segment, const st
 /// Sets the value at segments[at...] of `node`; `origin` is the override for messages.
 void set_at(ConfigNode& node, const std::vector<std::string>& segments, std::size_t at, const ConfigNode& value,
             const Location& origin) {
-  if (at == segments.size()) {
-    node = merge_config(std::move(node), value);
-    return;
-  }
+  if (at == segments.size()) return merge_into(node, value);
   const std::string& segment = segments[at];
   if (node.is_list()) {
     const std::size_t index = item_of(node, segment, "'" + joined(segments, at) + "'", origin);
@@ -139,6 +162,11 @@ const ConfigNode* telling(const ConfigNode& item) {
 }
 
 }  // namespace
+
+ConfigNode merge_config(ConfigNode base, const ConfigNode& over) {
+  merge_into(base, over);
+  return base;
+}
 
 std::string item_key(const ConfigNode& list, std::size_t index) {
   const ConfigNode* own = telling(list.items()[index]);

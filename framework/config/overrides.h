@@ -1,4 +1,4 @@
-// Values that are set at key paths of a configuration, and the names of what is in its lists.
+// What is written over a configuration: other trees, values at key paths; and the names of what is in its lists.
 #pragma once
 
 #include <cstddef>
@@ -9,6 +9,10 @@
 #include "core/error.h"
 
 namespace semfield {
+
+/// `over` merged onto `base`: maps merge key by key, lists and scalars replace, and a map whose scalar `type` differs
+/// from the base's is replaced whole.
+ConfigNode merge_config(ConfigNode base, const ConfigNode& over);
 
 /// A value set at a key path ("passes.main.sampler.samples"), written in some file: paths in it start there.
 struct ConfigOverride {
