@@ -82,6 +82,16 @@ struct Plain<std::optional<T>> {
   using type = T;
 };
 
+// "--out FOLDER": how the option is called, and what stands for its value.
+struct OptionName {
+  std::string flag, value;
+};
+
+OptionName split_name(const std::string& name, const std::string& usual_value = {}) {
+  const std::size_t blank = name.find(' ');
+  return {name.substr(0, blank), blank == std::string::npos ? usual_value : name.substr(blank + 1)};
+}
+
 // Given several times, a value each, and leaving the next word to the operands.
 void take_one_each(CLI::Option& word) { word.expected(1)->take_all()->allow_extra_args(false); }
 
@@ -105,12 +115,12 @@ T& Options::kept(T usual) {
 
 template <class T>
 CLI::Option& Options::option(const std::string& name, const char* usual_value, T& into, const std::string& help) {
-  const std::size_t blank = name.find(' ');
-  CLI::Option* made = at_.verb.add_option(name.substr(0, blank), into, help);
+  const OptionName named = split_name(name, usual_value);
+  CLI::Option* made = at_.verb.add_option(named.flag, into, help);
   if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::string>) {
     if (help.find("(default: ") == std::string::npos) made->capture_default_str();
   }
-  return *made->type_name(blank == std::string::npos ? usual_value : name.substr(blank + 1));
+  return *made->type_name(named.value);
 }
 
 template <class T>
@@ -178,13 +188,13 @@ std::optional<double>& Options::positive(const std::string& name, const std::str
 std::string& Options::choice(const std::string& name, std::string usual, const std::vector<std::string>& choices,
                              const std::string& help) {
   std::string& into = value(name, help, std::move(usual), choices);
-  at_.verb.get_option(name.substr(0, name.find(' ')))->check(one_of(choices));
+  at_.verb.get_option(split_name(name).flag)->check(one_of(choices));
   return into;
 }
 
 std::string& Options::required(const std::string& name, const std::string& help) {
   std::string& into = value(name, help);
-  at_.verb.get_option(name.substr(0, name.find(' ')))->required();
+  at_.verb.get_option(split_name(name).flag)->required();
   return into;
 }
 
@@ -197,10 +207,9 @@ std::vector<std::string>& Options::repeated(const std::string& name, const std::
 std::vector<std::string>& Options::list(const std::string& name, const std::string& help,
                                         const std::vector<std::string>& choices) {
   std::vector<std::string>& into = kept(std::vector<std::string>());
-  const std::size_t blank = name.find(' ');
-  const std::string flag = name.substr(0, blank);
+  const auto [flag, shown] = split_name(name, "LIST");
   // CLI11's own delimiter drops what is empty between two commas.
-  const std::function<void(const std::vector<std::string>&)> take = [&into, flag, choices](const auto& given) {
+  const std::function<void(const std::vector<std::string>&)> take = [&into, flag = flag, choices](const auto& given) {
     for (const std::string& value : given) {
       for (const std::string_view part : parts_of(value, ',')) {
         std::string item(part), wrong = item.empty() ? "an item between the commas is empty" : "";
@@ -212,20 +221,18 @@ std::vector<std::string>& Options::list(const std::string& name, const std::stri
   };
   CLI::Option& word = *at_.verb.add_option_function<std::vector<std::string>>(flag, take, help);
   take_one_each(word);
-  word.type_name((blank == std::string::npos ? "LIST" : name.substr(blank + 1)) +
-                 (choices.empty() ? "" : ":{" + join(choices, ",") + "}"));
+  word.type_name(shown + (choices.empty() ? "" : ":{" + join(choices, ",") + "}"));
   if (!choices.empty()) at_.offered[&word] = choices;
   return into;
 }
 
 void Options::setting(std::vector<std::string>& set, const std::string& name, const std::string& key,
                       const std::string& help, std::vector<std::string> offered) {
-  const std::size_t blank = name.find(' ');
-  const std::string flag = name.substr(0, blank);
-  const std::function<void(const std::string&)> take = [&set, flag, key](const std::string& value) {
+  const auto [flag, shown] = split_name(name);
+  const std::function<void(const std::string&)> take = [&set, flag = flag, key](const std::string& value) {
     set.push_back(flag + " " + key + "=" + value);
   };
-  at_.offered[at_.verb.add_option_function(flag, take, help)->type_name(name.substr(blank + 1))] = std::move(offered);
+  at_.offered[at_.verb.add_option_function(flag, take, help)->type_name(shown)] = std::move(offered);
 }
 
 void Options::threads(std::vector<std::string>& set) {
@@ -403,6 +410,8 @@ std::string full_name(const CLI::App& app) {
 
 std::string command(const std::string& words) { return "`" + program_name() + " " + words + "`"; }
 
+std::string help_command(const std::string& verb) { return command(verb.empty() ? "help" : "help " + verb); }
+
 // Verbs that are gone, and what is typed in their place.
 const std::map<std::string, std::string> kGone{{"bench label", "studies/labelling.py"},
                                                {"bench pairs", "studies/leave_out.py"},
@@ -434,8 +443,7 @@ Error unknown_verb(const CLI::App& at, const std::string& word) {
       return {ErrorKind::usage, "usage.verb.unknown", text,
               "did you mean " + command(full_name(*verb_below(*place, near))) + "?"};
   }
-  return {ErrorKind::usage, "usage.verb.unknown", text,
-          command("help" + (group.empty() ? "" : " " + group)) + " lists the verbs"};
+  return {ErrorKind::usage, "usage.verb.unknown", text, help_command(group) + " lists the verbs"};
 }
 
 std::vector<const CLI::Option*> flags_of(const CLI::App& app) {
@@ -467,19 +475,25 @@ Error unknown_flag(const Program& program, const CLI::App& at, const std::string
                                    [&](const std::string& name) { return bare.size() >= 3 && name.starts_with(bare); });
   const std::string near = longer != names.end() ? *longer : did_you_mean(bare, names);
   return {ErrorKind::usage, "usage.flag.unknown", text,
-          near.empty() ? "see " + command("help" + (verb.empty() ? "" : " " + verb)) : "did you mean --" + near + "?"};
+          near.empty() ? "see " + help_command(verb) : "did you mean --" + near + "?"};
+}
+
+// The verb that was typed; the program for none.
+const CLI::App& given_verb(const CLI::App& program) {
+  const CLI::App* at = &program;
+  while (!at->get_subcommands().empty()) at = at->get_subcommands().back();
+  return *at;
 }
 
 // A word that is unknown comes before what else is wrong, which often follows from it.
 Error refused(const Program& program, const CLI::ParseError& error) {
-  const CLI::App* at = &program.app;
-  while (!at->get_subcommands().empty()) at = at->get_subcommands().back();
+  const CLI::App& at = given_verb(program.app);
   const std::vector<std::string> unknown = program.app.remaining(true);
   for (const std::string& word : unknown) {
-    if (word.size() > 1 && word.front() == '-') return unknown_flag(program, *at, word);
+    if (word.size() > 1 && word.front() == '-') return unknown_flag(program, at, word);
   }
-  if (!unknown.empty() && !below(*at).empty()) return unknown_verb(*at, unknown.front());
-  const std::string verb = full_name(*at), see = "see " + command("help" + (verb.empty() ? "" : " " + verb));
+  if (!unknown.empty() && !below(at).empty()) return unknown_verb(at, unknown.front());
+  const std::string verb = full_name(at), see = "see " + help_command(verb);
   if (!unknown.empty())
     return {ErrorKind::usage, "usage.word.unexpected", verb + ": unexpected word '" + unknown.front() + "'", see};
   const std::string text = (verb.empty() ? "" : verb + ": ") + error.what();
@@ -699,9 +713,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   }
   context.quiet = program.quiet;
   context.json = program.json;
-  const CLI::App* at = &program.app;
-  while (!at->get_subcommands().empty()) at = at->get_subcommands().back();
-  const auto found = program.verbs.find(at);
+  const auto found = program.verbs.find(&given_verb(program.app));
   if (found == program.verbs.end()) {
     // Nothing was done, and a script whose verb got lost should not continue as if something had been.
     std::fputs(program.app.help().c_str(), stdout);

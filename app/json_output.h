@@ -20,7 +20,7 @@ inline std::string json_text(const Json& json, int indent = -1) {
 /// that are no UTF-8, as names of folders may have, become the replacement character.
 std::string json_object(const AppContext& context, const Json& results);
 void print_json(const AppContext& context, const Json& results);
-/// The same for --json, else `text`, a line or several without the last one's end.
+/// The same for --json, else `text`, lines of which the last one's end may be missing.
 void print_results(const AppContext& context, const Json& results, const std::string& text);
 
 }  // namespace semfield::app

@@ -257,7 +257,8 @@ void print_json(const AppContext& context, const Json& results) {
 
 void print_results(const AppContext& context, const Json& results, const std::string& text) {
   if (context.json) return print_json(context, results);
-  std::printf("%s\n", text.c_str());
+  std::fputs(text.c_str(), stdout);
+  if (!text.empty() && !text.ends_with('\n')) std::fputc('\n', stdout);
   std::fflush(stdout);
 }
 

@@ -160,12 +160,12 @@ Json entry_json(const PluginEntry& entry) {
 }
 
 // Every plugin, or the one of this name.
-void print_plugins_json(const AppContext& context, const std::string& only = {}) {
+Json plugins_json(const Registry& registry, const std::string& only = {}) {
   Json all = Json::array();
-  for (const PluginEntry* entry : context.registry.entries()) {
+  for (const PluginEntry* entry : registry.entries()) {
     if (only.empty() || entry->name == only) all.push_back(entry_json(*entry));
   }
-  print_json(context, {{"plugins", all}});
+  return {{"plugins", all}};
 }
 
 // What this build has for CUDA, into the registry's tables; no device is needed for that. Generated pages do without
@@ -256,15 +256,12 @@ int run(const CheckOptions& options, AppContext& context) {
     return std::count_if(rows.begin(), rows.end(), [&](const LawRow& row) { return row.status == status; });
   };
   const auto passed = count(LawStatus::passed), failed = count(LawStatus::failed), refused = count(LawStatus::refused);
-  if (context.json) {
-    Json out{{"file", options.file}, {"passed", passed}, {"failed", failed}, {"refused", refused}};
-    out["rows"] = Json::array();
-    for (const LawRow& row : rows) out["rows"].push_back(json_of(row));
-    print_json(context, out);
-  } else {
-    std::printf("plugins check: passed=%td failed=%td refused=%td file=%s\n", passed, failed, refused,
-                options.file.c_str());
-  }
+  Json told_rows = Json::array();
+  for (const LawRow& row : rows) told_rows.push_back(json_of(row));
+  print_results(
+      context,
+      {{"file", options.file}, {"passed", passed}, {"failed", failed}, {"refused", refused}, {"rows", told_rows}},
+      fmt::format("plugins check: passed={} failed={} refused={} file={}", passed, failed, refused, options.file));
   return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
@@ -275,28 +272,22 @@ struct ListOptions : Options {
   const bool& devices = flag("--devices", "print which plugin runs on which device");
 };
 
-void print_devices(AppContext& context) {
-  add_cuda_kernels(context);
-  if (!context.json) {
-    std::fputs(support_matrix_text(context.registry).c_str(), stdout);
-    return;
-  }
+Json devices_json(const Registry& registry) {
   Json plugins = Json::array();
-  for (const PluginEntry* entry : context.registry.entries())
+  for (const PluginEntry* entry : registry.entries())
     plugins.push_back({{"kind", kind_name(entry->kind)},
                        {"name", entry->name},
-                       {"devices", devices_text(context.registry, *entry)},
+                       {"devices", devices_text(registry, *entry)},
                        {"module", entry->module}});
-  print_json(context, {{"plugins", plugins}});
+  return {{"plugins", plugins}};
 }
 
 int run(const ListOptions& options, AppContext& context) {
   if (options.devices) {
-    print_devices(context);
-  } else if (context.json) {
-    print_plugins_json(context);
+    add_cuda_kernels(context);
+    print_results(context, devices_json(context.registry), support_matrix_text(context.registry));
   } else {
-    std::fputs(plugins_list_text(context.registry).c_str(), stdout);
+    print_results(context, plugins_json(context.registry), plugins_list_text(context.registry));
   }
   return 0;
 }
@@ -310,13 +301,8 @@ struct ShowOptions : Options {
 
 int run(const ShowOptions& options, AppContext& context) {
   add_cuda_kernels(context);
-  const std::string text =
-      plugin_details_text(context.registry, options.name);  // refuses an unknown name in either form
-  if (context.json) {
-    print_plugins_json(context, options.name);
-  } else {
-    std::fputs(text.c_str(), stdout);
-  }
+  const std::string text = plugin_details_text(context.registry, options.name);  // refuses an unknown name
+  print_results(context, plugins_json(context.registry, options.name), text);
   return 0;
 }
 
@@ -367,16 +353,14 @@ int run(const DiffOptions& options, AppContext& context) {
   const RunConfig first = load_run_config(options.a, {}, context.registry);
   const RunConfig second = load_run_config(options.b, {}, context.registry);
   const std::vector<ConfigDifference> found = config_differences(resolved_config(first), resolved_config(second));
-  if (context.json) {
-    Json differences = Json::array();
-    for (const ConfigDifference& d : found)
-      differences.push_back(
-          {{"key", d.key}, {"a", d.left}, {"b", d.right}, {"other_training", is_part_of_identity(d.key)}});
-    print_json(context, {{"differences", differences}});
-    return 0;
+  Json differences = Json::array();
+  std::string lines;
+  for (const ConfigDifference& d : found) {
+    const bool other = is_part_of_identity(d.key);
+    differences.push_back({{"key", d.key}, {"a", d.left}, {"b", d.right}, {"other_training", other}});
+    lines += d.text() + (other ? "\n" : "   # the same training\n");
   }
-  for (const ConfigDifference& d : found)
-    std::printf("%s%s\n", d.text().c_str(), is_part_of_identity(d.key) ? "" : "   # the same training");
+  print_results(context, {{"differences", differences}}, lines);
   return 0;
 }
 
@@ -401,14 +385,10 @@ int explain(const ConfigWords& options, AppContext& context) {
   const ConfigNode written = compose_config(options.config, options.set);
   const RunConfig config = load_run_config(options.config, options.set, context.registry);
   const ConfigNode tree = with_origins(resolved_config(config), written);
-  if (context.json) {
-    Json settings = Json::array();
-    for (const ConfigSetting& setting : config_settings(tree))
-      settings.push_back({{"key", setting.key}, {"value", setting.value}, {"from", setting.from}});
-    print_json(context, {{"settings", settings}});
-    return 0;
-  }
-  std::fputs((explain_config(tree) + open_choices(tree)).c_str(), stdout);
+  Json settings = Json::array();
+  for (const ConfigSetting& setting : config_settings(tree))
+    settings.push_back({{"key", setting.key}, {"value", setting.value}, {"from", setting.from}});
+  print_results(context, {{"settings", settings}}, explain_config(tree) + open_choices(tree));
   return 0;
 }
 
@@ -567,18 +547,17 @@ std::string time_text(double seconds) {
   return seconds >= 1 ? fmt::format("{:.2f} s", seconds) : fmt::format("{:.2f} ms", 1e3 * seconds);
 }
 
-void print_table(const std::vector<NumericsRow>& rows) {
-  std::printf("%-4s %-22s %-8s %-18s %9s %9s %7s %10s  %s\n", "id", "case", "", "reference", "error", "allowed",
-              "checks", "time", "status");
+std::string table_of(const std::vector<NumericsRow>& rows) {
+  constexpr const char* kLine = "{:<4} {:<22} {:<8} {:<18} {:>9} {:>9} {:>7} {:>10}  {}\n";
+  std::string text = fmt::format(kLine, "id", "case", "", "reference", "error", "allowed", "checks", "time", "status");
   for (const NumericsRow& row : rows) {
-    std::printf("%-4s %-22s %-8s %-18s %9s %9s %7d %10s  %s\n", row.id.c_str(), row.name.c_str(), row.precision.c_str(),
-                row.reference.c_str(), number(row, row.error).c_str(), number(row, row.tolerance).c_str(), row.checks,
-                time_text(row.seconds).c_str(), status_text(row));
-    if (row.status == NumericsStatus::failed) std::printf("     %s\n", row.note.c_str());
-    if (row.status == NumericsStatus::failed && !row.known_failure.empty()) {
-      std::printf("     known: %s\n", row.known_failure.c_str());
-    }
+    text += fmt::format(kLine, row.id, row.name, row.precision, row.reference, number(row, row.error),
+                        number(row, row.tolerance), row.checks, time_text(row.seconds), status_text(row));
+    if (row.status != NumericsStatus::failed) continue;
+    text += "     " + row.note + "\n";
+    if (!row.known_failure.empty()) text += "     known: " + row.known_failure + "\n";
   }
+  return text;
 }
 
 Json results(const std::vector<NumericsRow>& rows, int passed, int failed, int absent) {
@@ -609,13 +588,10 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
   const std::map<NumericsStatus, int> counts = count_cases(rows);
   const int passed = counts.at(NumericsStatus::passed), failed = counts.at(NumericsStatus::failed);
   const int absent = counts.at(NumericsStatus::absent);
-  if (context.json) {
-    print_json(context, results(rows, passed, failed, absent));
-  } else {
-    print_table(rows);
-    std::printf("check-numerics: passed=%d failed=%d cases=%d%s\n", passed, failed, passed + failed + absent,
-                absent > 0 ? fmt::format(" absent={}", absent).c_str() : "");
-  }
+  print_results(
+      context, results(rows, passed, failed, absent),
+      table_of(rows) + fmt::format("check-numerics: passed={} failed={} cases={}{}", passed, failed,
+                                   passed + failed + absent, absent > 0 ? fmt::format(" absent={}", absent) : ""));
   return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
 

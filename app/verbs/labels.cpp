@@ -134,19 +134,18 @@ Json manifest_of(const Session& s, const FusionParams& params, const FrameMaps& 
   return out;
 }
 
-void print_scores(const SceneFusion& fusion, const FusionParams& params) {
-  const FusionCounts& counts = fusion.counts;
+std::string scores_text(const SceneFusion& fusion, const FusionParams& params) {
+  const auto figure = [](const std::optional<double>& value) { return figure_text(value, "none"); };
+  std::string lines;
   for (const FusionScore& score : fusion.scores) {
     const ConfusionMatrix& m = score.confusion;
     const bool fused = score.method != "monocular" && score.method != "field";
-    std::printf(
-        "fuse: method=%s depth=%s miou_present=%s miou=%s total_accuracy=%s average_accuracy=%s filled=%lld "
-        "views=%s\n",
-        score.method.c_str(), choice_name(params.depth).c_str(), figure_text(m.miou_present(), "none").c_str(),
-        figure_text(m.miou(), "none").c_str(), figure_text(m.total_accuracy(), "none").c_str(),
-        figure_text(m.average_accuracy(), "none").c_str(), static_cast<long long>(fused ? counts.filled : 0),
-        figure_text(score.views_mean, "none").c_str());
+    lines += fmt::format(
+        "fuse: method={} depth={} miou_present={} miou={} total_accuracy={} average_accuracy={} filled={} views={}\n",
+        score.method, choice_name(params.depth), figure(m.miou_present()), figure(m.miou()), figure(m.total_accuracy()),
+        figure(m.average_accuracy()), fused ? fusion.counts.filled : 0, figure(score.views_mean));
   }
+  return lines;
 }
 
 int run(const FuseOptions& options, AppContext& context) {
@@ -193,11 +192,7 @@ int run(const FuseOptions& options, AppContext& context) {
     if (run) manifest["depth_from"] = {{"run", run->run_dir}, {"step", run->step}, {"train_s", run->train_s}};
     writer->write_manifest(manifest);
   }
-  if (context.json) {
-    print_json(context, {{"scores", scores_json(fusion, params)}});
-  } else {
-    print_scores(fusion, params);
-  }
+  print_results(context, {{"scores", scores_json(fusion, params)}}, scores_text(fusion, params));
   return 0;
 }
 
@@ -495,8 +490,7 @@ ClassTable recolored(const ClassTable& table, const std::string& colors) {
 Json classes_json(const ClassTable& table) {
   Json classes = Json::array();
   for (const ClassEntry& entry : table.entries()) {
-    char color[8];
-    std::snprintf(color, sizeof color, "#%02x%02x%02x", entry.color[0], entry.color[1], entry.color[2]);
+    const std::string color = fmt::format("#{:02x}{:02x}{:02x}", entry.color[0], entry.color[1], entry.color[2]);
     classes.push_back({{"id", entry.id}, {"name", entry.name}, {"color", color}, {"ignored", entry.ignore}});
   }
   return classes;
@@ -508,16 +502,12 @@ int run(const ClassesOptions& options, AppContext& context) {
                            : options.format == "csv" ? to_class_csv(table)
                                                      : to_cvat_labelmap(table);
   if (!options.out.empty()) write_file_atomic(options.out, text);
-  if (context.json) {
-    Json out{{"classes", classes_json(table)}};
-    if (!options.out.empty()) out["file"] = options.out;
-    print_json(context, out);
-  } else if (options.out.empty()) {
-    std::fputs(text.c_str(), stdout);
-  } else {
-    std::printf("classes: %d classes, %zu entries, file=%s\n", table.valid_count(), table.entries().size(),
-                options.out.c_str());
-  }
+  Json out{{"classes", classes_json(table)}};
+  if (!options.out.empty()) out["file"] = options.out;
+  print_results(context, out,
+                options.out.empty() ? text
+                                    : fmt::format("classes: {} classes, {} entries, file={}", table.valid_count(),
+                                                  table.entries().size(), options.out));
   return 0;
 }
 

@@ -1,7 +1,6 @@
 // init, inspect, prepare: a scene looked at, configured and made; pack, labels degrade: written in other forms.
 #include <fmt/format.h>
 
-#include <cstdio>
 #include <filesystem>
 #include <numeric>
 #include <optional>
@@ -176,24 +175,18 @@ int run(const InitOptions& options, AppContext& context) {
       advised_preset(scene).value_or(PresetAdvice{kUsualPreset, "nothing could be read that speaks for another", {}});
   if (fs::path(file).has_parent_path()) fs::create_directories(fs::path(file).parent_path());
   write_file_atomic(file, config_text(found, advice, file));
-  if (context.json) {
-    Json out = inspect_json(scene, diagnostics);
-    out["file"] = file;
-    out["type"] = found.type;
-    out["others"] = found.others;
-    out["downscale"] = downscale_of(found);
-    print_json(context, out);
-  } else {
-    std::printf("%s written: %s\n", file.c_str(), found.what.c_str());
-    std::printf("frames      %s%s\n", frames_text(found).c_str(),
-                downscale_of(found) > 1 ? fmt::format(", divided by {}", downscale_of(found)).c_str() : "");
-    std::printf("preset      %s\n", advice.text().c_str());
-    for (const std::string& other : found.others) std::printf("also here   %s; --type takes it\n", other.c_str());
-    for (const Diagnostic& finding : folded(diagnostics)) {
-      if (finding.severity != Severity::note)
-        std::printf("%-11s %s\n", finding.severity == Severity::error ? "error" : "warning", finding.shown().c_str());
-    }
+  Json out = inspect_json(scene, diagnostics);
+  out.update({{"file", file}, {"type", found.type}, {"others", found.others}, {"downscale", downscale_of(found)}});
+  std::string text = fmt::format("{} written: {}\n", file, found.what);
+  text += fmt::format("frames      {}{}\n", frames_text(found),
+                      downscale_of(found) > 1 ? fmt::format(", divided by {}", downscale_of(found)) : "");
+  text += fmt::format("preset      {}\n", advice.text());
+  for (const std::string& other : found.others) text += fmt::format("also here   {}; --type takes it\n", other);
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    if (finding.severity != Severity::note)
+      text += fmt::format("{:<11} {}\n", finding.severity == Severity::error ? "error" : "warning", finding.shown());
   }
+  print_results(context, out, text);
   std::vector<NextStep> next{{"inspect " + shell_word(file), "bounds, classes, and every problem"}};
   for (NextStep& step : next_of_cameras(scene.cameras_are_off(), found.path, found.name))
     next.insert(next.begin(), std::move(step));
@@ -255,11 +248,7 @@ int run(const InspectOptions& options, AppContext& context) {
   if (!diagnostics.has_errors()) check_ray_source(scene, opened.config, diagnostics);
   std::string depth;
   if (!diagnostics.has_errors()) depth = depth_use(opened.config.losses, training_depth(scene), diagnostics);
-  if (context.json) {
-    print_json(context, inspect_json(scene, diagnostics, depth));
-  } else {
-    std::fputs(inspect_report(scene, diagnostics, depth).c_str(), stdout);
-  }
+  print_results(context, inspect_json(scene, diagnostics, depth), inspect_report(scene, diagnostics, depth));
   std::vector<NextStep> next = next_of_cameras(scene.cameras_are_off(), what, scene.info.name);
   const auto then = [&](std::vector<NextStep> more) {
     std::move(more.begin(), more.end(), std::back_inserter(next));
@@ -345,38 +334,34 @@ bool stoppable(AppContext& context, const Work& work) {
   }
 }
 
-// The scene that was written, as the verb's results, with what `inspect` would say of it. `print` says it for people.
-int written(const PrepareVerbOptions& options, Diagnostics& found, Json results, const std::function<void()>& print,
+// The scene that was written, as the verb's results, with what `inspect` would say of it. `text` says it for people.
+int written(const PrepareVerbOptions& options, Diagnostics& found, Json results, std::string text,
             AppContext& context) {
   const FolderScene scene = find_scene(options.out, "", context);
   OpenedDataset opened = dataset_of(config_of(scene, kUsualPreset), {}, context);
   const std::string geometry = load_for_labels(opened, found).geometry;
   print_findings(context, found);
   results["folder"] = options.out;
-  if (context.json) {
-    print_json(context, results);
-  } else {
-    print();
-    if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
-  }
+  if (!geometry.empty()) text += "geometry    " + geometry + "\n";
+  print_results(context, results, text);
   if (!found.has_errors()) print_next(context, next_of_scene(scene.path, scene.name));
   return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 
 // What a scene that has poses is fixed to.
-void print_fixed(const FixedCameras& fixed, const SceneInfo& info) {
-  std::printf("frames      %zu, %zu points found in several of them\n", info.frames.size(), fixed.points);
+std::string fixed_text(const FixedCameras& fixed, const SceneInfo& info) {
+  std::string text =
+      fmt::format("frames      {}, {} points found in several of them\n", info.frames.size(), fixed.points);
   const std::string judges = fmt::format("median over {} points that took no part", fixed.judges);
-  if (fixed.kept) {
-    std::printf("cameras     right: the photographs ask for no change (%.2f pixels, %s)\n", fixed.given_px,
-                judges.c_str());
-  } else {
-    std::printf("cameras     %.2f -> %.2f pixels (%s)\n", fixed.given_px, fixed.fixed_px, judges.c_str());
-  }
+  text += fixed.kept
+              ? fmt::format("cameras     right: the photographs ask for no change ({:.2f} pixels, {})\n",
+                            fixed.given_px, judges)
+              : fmt::format("cameras     {:.2f} -> {:.2f} pixels ({})\n", fixed.given_px, fixed.fixed_px, judges);
   if (fixed.given_on_depth >= 0)
-    std::printf("depth       %.0f %% -> %.0f %% of points lie on the depth shown\n", 100 * fixed.given_on_depth,
-                100 * fixed.fixed_on_depth);
-  for (const std::string& change : fixed.changes) std::printf("changed     %s\n", change.c_str());
+    text += fmt::format("depth       {:.0f} % -> {:.0f} % of points lie on the depth shown\n",
+                        100 * fixed.given_on_depth, 100 * fixed.fixed_on_depth);
+  for (const std::string& one : fixed.changes) text += "changed     " + one + "\n";
+  return text;
 }
 
 bool names_a_config(const std::string& source) { return source.ends_with(".yaml") || source.ends_with(".yml"); }
@@ -430,27 +415,27 @@ int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene
     found.note(
         "scene.channel.left", options.out,
         "maps of '" + name + "' are not in it: copy their files, and name them in each frame as " + name + "_path");
-  return written(
-      options, found,
-      {{"frames", scene.info.frames.size()},
-       {"points", fixed->points},
-       {"kept", fixed->kept},
-       {"given_px", fixed->given_px},
-       {"fixed_px", fixed->fixed_px},
-       {"given_on_depth", fixed->given_on_depth},
-       {"fixed_on_depth", fixed->fixed_on_depth},
-       {"changes", fixed->changes}},
-      [&] { print_fixed(*fixed, scene.info); }, context);
+  return written(options, found,
+                 {{"frames", scene.info.frames.size()},
+                  {"points", fixed->points},
+                  {"kept", fixed->kept},
+                  {"given_px", fixed->given_px},
+                  {"fixed_px", fixed->fixed_px},
+                  {"given_on_depth", fixed->given_on_depth},
+                  {"fixed_on_depth", fixed->fixed_on_depth},
+                  {"changes", fixed->changes}},
+                 fixed_text(*fixed, scene.info), context);
 }
 
-void print_report(const PrepareReport& report) {
-  if (!report.cut.empty()) std::printf("video       %s\n", report.cut.c_str());
-  std::printf("photographs %zu of %d x %d pixels\n", report.photographs, report.width_px, report.height_px);
-  std::printf("registered  %zu of %zu (%.0f %%), reprojection error %.2f pixels, %zu points, %d %s\n",
-              report.registered, report.photographs,
-              100.0 * static_cast<double>(report.registered) / static_cast<double>(report.photographs), report.error_px,
-              report.points, report.attempts, report.attempts == 1 ? "attempt" : "attempts");
-  for (const Missing& one : report.missing) std::printf("missing     %s\n", one.text.c_str());
+std::string report_text(const PrepareReport& report) {
+  std::string text = report.cut.empty() ? "" : "video       " + report.cut + "\n";
+  text += fmt::format("photographs {} of {} x {} pixels\n", report.photographs, report.width_px, report.height_px);
+  text += fmt::format("registered  {} of {} ({:.0f} %), reprojection error {:.2f} pixels, {} points, {} {}\n",
+                      report.registered, report.photographs,
+                      100.0 * static_cast<double>(report.registered) / static_cast<double>(report.photographs),
+                      report.error_px, report.points, report.attempts, report.attempts == 1 ? "attempt" : "attempts");
+  for (const Missing& one : report.missing) text += "missing     " + one.text + "\n";
+  return text;
 }
 
 int run(const PrepareVerbOptions& options, AppContext& context) {
@@ -469,15 +454,14 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
   std::vector<std::string> missing;
   for (const Missing& one : report.missing) missing.push_back(one.text);
   Diagnostics found;
-  return written(
-      options, found,
-      {{"photographs", report.photographs},
-       {"registered", report.registered},
-       {"error_px", report.error_px},
-       {"points", report.points},
-       {"attempts", report.attempts},
-       {"missing", missing}},
-      [&] { print_report(report); }, context);
+  return written(options, found,
+                 {{"photographs", report.photographs},
+                  {"registered", report.registered},
+                  {"error_px", report.error_px},
+                  {"points", report.points},
+                  {"attempts", report.attempts},
+                  {"missing", missing}},
+                 report_text(report), context);
 }
 
 }  // namespace

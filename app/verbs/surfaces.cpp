@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -547,32 +546,29 @@ int run(const MeshOptions& options, AppContext& context) {
   out.write();
   out.finish();
   const std::size_t points = out.points().positions.size();
-  if (context.json) {
-    Json told{{"run", options.run}, {"step", run.step}};
-    if (wants_surface) {
-      told["spacing"] = found.grid.spacing;
-      told["surface"] = found.source;
-      told["vertices"] = found.surface.positions.size();
-      told["faces"] = found.surface.triangles.size();
-      told["unseen_faces"] = found.unseen;
-      told["components"] = found.components;
-    }
-    told["files"] = out.files();
-    if (found.level) told["level"] = *found.level;
-    if (upright) told["up"] = {up.x, up.y, up.z};
-    if (options.close_holes && wants_surface) told["holes_closed"] = found.closed;
-    if (points > 0) told["points"] = points;
-    if (found.scores) told["score"] = scores_json(*found.scores);
-    print_json(context, told);
-    return 0;
+  Json told{{"run", options.run}, {"step", run.step}};
+  std::string text = found.scores ? scores_table(*found.scores, s.scene.info.metric) : "";
+  text += "mesh:";
+  if (wants_surface) {
+    const std::size_t vertices = found.surface.positions.size(), faces = found.surface.triangles.size();
+    told.update({{"spacing", found.grid.spacing},
+                 {"surface", found.source},
+                 {"vertices", vertices},
+                 {"faces", faces},
+                 {"unseen_faces", found.unseen},
+                 {"components", found.components}});
+    text += fmt::format(" vertices={} faces={} components={}", vertices, faces, found.components);
   }
-  if (found.scores) std::fputs(scores_table(*found.scores, s.scene.info.metric).c_str(), stdout);
-  std::string line = "mesh:";
-  if (wants_surface)
-    line += fmt::format(" vertices={} faces={} components={}", found.surface.positions.size(),
-                        found.surface.triangles.size(), found.components);
-  if (points > 0) line += fmt::format(" points={}", points);
-  std::printf("%s file=%s\n", line.c_str(), join(out.files(), ",").c_str());
+  told["files"] = out.files();
+  if (found.level) told["level"] = *found.level;
+  if (upright) told["up"] = {up.x, up.y, up.z};
+  if (options.close_holes && wants_surface) told["holes_closed"] = found.closed;
+  if (points > 0) {
+    told["points"] = points;
+    text += fmt::format(" points={}", points);
+  }
+  if (found.scores) told["score"] = scores_json(*found.scores);
+  print_results(context, told, text + " file=" + join(out.files(), ","));
   print_next(context, next_of_look(options.run));
   return 0;
 }
@@ -766,23 +762,20 @@ int run(const ObjectsOptions& options, AppContext& context) {
   write_object_tables(folder, objects, s.scene.info);
   const auto count =
       std::count_if(found.rows.begin(), found.rows.end(), [](const ObjectRow& row) { return row.points > 0; });
-  if (context.json) {
-    Json out = facts;
-    out["objects"] = count;
-    out["folder"] = folder;
-    print_json(context, out);
-    return 0;
-  }
   std::map<std::string, int> counts;
   for (const ObjectRow& row : found.rows)
     if (row.points > 0) ++counts[object_class_name(row, s.scene.info.classes)];
-  for (const auto& [name, of_class] : counts) std::printf("  %-20s %d\n", name.c_str(), of_class);
+  std::string text;
+  for (const auto& [name, of_class] : counts) text += fmt::format("  {:<20} {}\n", name, of_class);
   if (figures)
-    std::printf("score: pq=%.4f sq=%.4f rq=%.4f mcov=%.4f count_error=%.4f true=%lld found=%lld\n", figures->pq,
-                figures->sq, figures->rq, figures->mcov, figures->count_error, static_cast<long long>(figures->objects),
-                static_cast<long long>(figures->found));
-  std::printf("objects: objects=%lld segments=%lld seconds=%.1f folder=%s\n", static_cast<long long>(count),
-              static_cast<long long>(segments.count()), facts["seconds"]["all"].get<double>(), folder.c_str());
+    text += fmt::format("score: pq={:.4f} sq={:.4f} rq={:.4f} mcov={:.4f} count_error={:.4f} true={} found={}\n",
+                        figures->pq, figures->sq, figures->rq, figures->mcov, figures->count_error, figures->objects,
+                        figures->found);
+  text += fmt::format("objects: objects={} segments={} seconds={:.1f} folder={}", count, segments.count(),
+                      facts["seconds"]["all"].get<double>(), folder);
+  facts["objects"] = count;
+  facts["folder"] = folder;
+  print_results(context, facts, text);
   print_next(context, next_of_look(options.run));
   return 0;
 }

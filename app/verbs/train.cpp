@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <climits>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "app/json_output.h"
@@ -86,10 +85,9 @@ Json outcome_json(const TrainOutcome& outcome) {
 }
 
 // What a dry run says, a line each.
-Json plan_json(const Session& session) {
+Json plan_json(std::string_view text) {
   Json lines = Json::array();
-  const std::string described = describe_session(session);
-  std::string_view text = described, line;
+  std::string_view line;
   while (next_line(text, line)) lines.push_back(line);
   return {{"plan", lines}};
 }
@@ -175,11 +173,8 @@ int run(const TrainOptions& options, AppContext& context) {
     session_options.keep = options.keep;
     const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
     print_findings(context, diagnostics);
-    if (context.json) {
-      print_json(context, plan_json(session));
-    } else {
-      std::fputs(describe_session(session).c_str(), stdout);
-    }
+    const std::string plan = describe_session(session);
+    print_results(context, plan_json(plan), plan);
     return 0;
   }
   TrainRequest request{.driver = Driver::command};
@@ -201,13 +196,10 @@ int run(const TrainOptions& options, AppContext& context) {
   }
   if (outcome.scored.frames == 0)
     print_note(context, "the scene has no test frames, so the field was not scored; see `semfield inspect`");
-  if (context.json) {
-    print_json(context, outcome_json(outcome));
-    return 0;
-  }
-  std::printf("train: %strain_s=%.1f trained_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
-              outcome.train_s, outcome.trained_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
-              outcome.report_path.c_str());
+  print_results(
+      context, outcome_json(outcome),
+      fmt::format("train: {}train_s={:.1f} trained_s={:.1f} steps={} peak_mb={} report={}", scores_text(outcome),
+                  outcome.train_s, outcome.trained_s, outcome.step, outcome.peak_bytes >> 20, outcome.report_path));
   print_next(context, next_of_run(outcome.run_dir, outcome.scored.frames > 0));
   return 0;
 }
