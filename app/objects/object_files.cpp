@@ -12,7 +12,6 @@
 #include <map>
 #include <thread>
 
-#include "app/json_output.h"
 #include "core/error.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
@@ -174,9 +173,8 @@ void ObjectFiles::add(const ObjectView& view) {
                      {"bbox", {s.x0, s.y0, s.x1 - s.x0, s.y1 - s.y0}},
                      {"iscrowd", 0}});
   }
-  images_.push_back(
-      json_text({{"id", number}, {"file_name", name}, {"width", camera.width_px}, {"height", camera.height_px}}));
-  annotations_.push_back(json_text({{"image_id", number}, {"file_name", name}, {"segments_info", infos}}));
+  images_.push_back({{"id", number}, {"file_name", name}, {"width", camera.width_px}, {"height", camera.height_px}});
+  annotations_.push_back({{"image_id", number}, {"file_name", name}, {"segments_info", infos}});
 }
 
 std::string ObjectFiles::panoptic_json() const {
@@ -188,10 +186,7 @@ std::string ObjectFiles::panoptic_json() const {
                           {"isthing", found_.stuff[static_cast<std::size_t>(c)] ? 0 : 1},
                           {"color", entry.color}});
   }
-  Json out{{"images", Json::array()}, {"annotations", Json::array()}, {"categories", categories}};
-  for (const std::string& one : images_) out["images"].push_back(Json::parse(one));
-  for (const std::string& one : annotations_) out["annotations"].push_back(Json::parse(one));
-  return json_text(out, 1) + "\n";
+  return json_text({{"images", images_}, {"annotations", annotations_}, {"categories", categories}}, 1) + "\n";
 }
 
 namespace {

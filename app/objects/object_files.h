@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "app/json_output.h"
 #include "objects/find_objects.h"
 #include "objects/object_set.h"
 #include "scene/scene.h"
@@ -70,7 +71,7 @@ class ObjectFiles {
   std::string folder_;
   const FoundObjects& found_;
   const SceneInfo& info_;
-  std::vector<std::string> images_, annotations_;  // JSON texts
+  Json images_ = Json::array(), annotations_ = Json::array();
 };
 
 // The folder of a run's objects while people edit them: one program changes it at a time, and nobody changes what he

@@ -174,8 +174,7 @@ ConfigNode config_of(const FolderScene& scene, const std::string& preset) {
   ConfigNode section = scene.section;
   if (const int by = downscale_of(scene); by > 1)
     section = section.with("load", ConfigNode::make_map({{"downscale", text_node(std::to_string(by))}}, {}));
-  ConfigNode tree = ConfigNode::make_map({{"include", text_node(preset)}, {"scene", section}}, {});
-  return tree;
+  return ConfigNode::make_map({{"include", text_node(preset)}, {"scene", section}}, {});
 }
 
 // Training labels as images.
@@ -281,8 +280,6 @@ WrittenScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& 
   return score;
 }
 
-Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
-
 Json frame_json(const FrameInfo& info, const WrittenFiles& files, const WrittenScore& score) {
   Json out{{"name", info.name}, {"label", files.label}, {"preview", files.preview}};
   if (!files.probability.empty()) out["probability"] = files.probability;
@@ -291,8 +288,8 @@ Json frame_json(const FrameInfo& info, const WrittenFiles& files, const WrittenS
   out["height_px"] = shown.height_px;
   out["labelled_px"] = score.labelled_px;
   out["changed_px"] = score.has_truth ? Json(score.changed_px) : Json(nullptr);
-  out["accuracy"] = number(score.confusion.total_accuracy());
-  out["miou_present"] = number(score.confusion.miou_present());
+  out["accuracy"] = number_json<Json>(score.confusion.total_accuracy());
+  out["miou_present"] = number_json<Json>(score.confusion.miou_present());
   return out;
 }
 
@@ -304,10 +301,10 @@ Json total_json(const WrittenScore& total, const ClassTable& classes, std::size_
            {"scored_px", c.scored_px()},
            {"void_truth_px", c.void_truth_px()},
            {"void_given_px", c.void_predicted_px()},
-           {"accuracy", number(c.total_accuracy())},
-           {"average_accuracy", number(c.average_accuracy())},
-           {"miou", number(c.miou())},
-           {"miou_present", number(c.miou_present())}};
+           {"accuracy", number_json<Json>(c.total_accuracy())},
+           {"average_accuracy", number_json<Json>(c.average_accuracy())},
+           {"miou", number_json<Json>(c.miou())},
+           {"miou_present", number_json<Json>(c.miou_present())}};
   const std::vector<ClassScore> scores = c.per_class();
   Json& iou = out["per_class_iou"] = Json::object();
   for (std::size_t k = 0; k < scores.size(); ++k) {
@@ -493,15 +490,13 @@ PackSummary capture_replica(const Dataset& dataset, const SceneInfo& info, const
     throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + out_dir + "' already holds a captured scene",
                 "choose another folder or remove it");
   }
-  for (const char* name : {"rgb", "depth", "semantic_class", "semantic_instance"}) {
-    const FrameInfo& f = info.frames.front();
-    const std::string_view channel = name;
-    if ((channel == "depth" && !f.has_depth) || (channel == "semantic_class" && !f.has_labels) ||
-        (channel == "semantic_instance" && !f.has_instances)) {
-      continue;
-    }
-    create_output_folder(folder / name);
-  }
+  const FrameInfo& first = info.frames.front();
+  const std::pair<const char*, bool> channels[] = {{"rgb", true},
+                                                   {"depth", first.has_depth},
+                                                   {"semantic_class", first.has_labels},
+                                                   {"semantic_instance", first.has_instances}};
+  for (const auto& [name, has] : channels)
+    if (has) create_output_folder(folder / name);
   PackSummary report;
   FrameBuffer frame;
   const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes.entries());
@@ -519,7 +514,7 @@ PackSummary capture_replica(const Dataset& dataset, const SceneInfo& info, const
     ++report.frames;
     if (progress) progress(report.frames, static_cast<int>(info.frames.size()));
   }
-  const Camera& c = info.frames.front().camera;
+  const Camera& c = first.camera;
   const double hfov_deg = 2 * std::atan(0.5 * c.width_px / c.fx) * 180 / kPi;
   write_file_atomic((folder / "intrinsics.txt").string(),
                     fmt::format("{} {} {:.17g} {:.17g} {:.17g} {:.17g} {:.10g}\n", c.width_px, c.height_px, c.fx, c.fy,

@@ -281,29 +281,19 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     LabelEntropy entropy, given;
     DepthError depth(limits.far_m);
     const bool labels = semantics && !truth.empty();
-    const std::function<void()> measures[] = {
-        [&] { add_colors(color, truth_rgb, frame.rgb, used); },
-        [&] {
-          if (job.fit_colors)
-            add_colors(fitted, truth_rgb, fitted_by_halves(truth_rgb, frame.rgb, frame.width_px, used), used);
-        },
-        [&] {
-          if (labels) confusion.add(truth, frame.label);
-        },
-        [&] {
-          if (labels) calibration.add(frame.confidence, frame.truth_probability, frame.label, truth);
-        },
-        [&] {
-          if (labels) entropy.add(frame.entropy, frame.label, truth);
-        },
-        [&] {
-          if (labels && job.given != nullptr) given.add(frame.entropy, given_labels(job, index), truth);
-        },
-        [&] {
-          if (!stored.depth_m.empty())
-            depth.add(strided(stored.depth_m.expand(), width, height, 1, job.stride), frame.depth_m);
-        }};
-    parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[i](); });
+    std::vector<std::function<void()>> measures{[&] { add_colors(color, truth_rgb, frame.rgb, used); }};
+    const auto measure = [&](bool wanted, std::function<void()> add) {
+      if (wanted) measures.push_back(std::move(add));
+    };
+    measure(job.fit_colors,
+            [&] { add_colors(fitted, truth_rgb, fitted_by_halves(truth_rgb, frame.rgb, frame.width_px, used), used); });
+    measure(labels, [&] { confusion.add(truth, frame.label); });
+    measure(labels, [&] { calibration.add(frame.confidence, frame.truth_probability, frame.label, truth); });
+    measure(labels, [&] { entropy.add(frame.entropy, frame.label, truth); });
+    measure(labels && job.given != nullptr, [&] { given.add(frame.entropy, given_labels(job, index), truth); });
+    measure(!stored.depth_m.empty(),
+            [&] { depth.add(strided(stored.depth_m.expand(), width, height, 1, job.stride), frame.depth_m); });
+    parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[static_cast<std::size_t>(i)](); });
     score.pixels += std::int64_t{frame.width_px} * frame.height_px;
     score.resolution.opaque_px += frame.resolution.opaque_px;
     score.resolution.under_resolved_px += frame.resolution.under_resolved_px;

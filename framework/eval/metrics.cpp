@@ -84,16 +84,19 @@ std::vector<ClassScore> ConfusionMatrix::per_class() const {
 
 namespace {
 
-// Mean of the values that exist; none when there is none.
-struct Mean {
+// Mean of what `value` gives of the classes; none when it gives none.
+template <class Value>
+std::optional<double> mean_of(const std::vector<ClassScore>& scores, const Value& value) {
   double sum = 0;
   int count = 0;
-  void add(double value) {
-    sum += value;
+  for (const ClassScore& score : scores) {
+    const std::optional<double> found = value(score);
+    if (!found) continue;
+    sum += *found;
     ++count;
   }
-  std::optional<double> get() const { return count > 0 ? std::optional(sum / count) : std::nullopt; }
-};
+  return count > 0 ? std::optional(sum / count) : std::nullopt;
+}
 
 }  // namespace
 
@@ -106,27 +109,15 @@ std::optional<double> ConfusionMatrix::total_accuracy() const {
 }
 
 std::optional<double> ConfusionMatrix::average_accuracy() const {
-  Mean mean;
-  for (const ClassScore& score : per_class()) {
-    if (score.recall) mean.add(*score.recall);
-  }
-  return mean.get();
+  return mean_of(per_class(), [](const ClassScore& score) { return score.recall; });
 }
 
 std::optional<double> ConfusionMatrix::miou() const {
-  Mean mean;
-  for (const ClassScore& score : per_class()) {
-    if (score.iou) mean.add(*score.iou);
-  }
-  return mean.get();
+  return mean_of(per_class(), [](const ClassScore& score) { return score.iou; });
 }
 
 std::optional<double> ConfusionMatrix::miou_present() const {
-  Mean mean;
-  for (const ClassScore& score : per_class()) {
-    if (score.truth_px > 0) mean.add(*score.iou);
-  }
-  return mean.get();
+  return mean_of(per_class(), [](const ClassScore& score) { return score.truth_px > 0 ? score.iou : std::nullopt; });
 }
 
 void ColorError::add(std::span<const float> truth, std::span<const float> predicted) {

@@ -149,6 +149,10 @@ class Outcome:
     notes: List[str]
 
 
+def _color(color: Optional[Tuple[int, int, int]]) -> Dict[str, Any]:
+    return {} if color is None else {"color": [_whole("color", c, 0, 255) for c in color]}
+
+
 class Labels:
     """Clicks and classes of a run; each counts from the next step on, and is stored before the call returns.
 
@@ -177,10 +181,7 @@ class Labels:
 
     def add_class(self, name: str, color: Optional[Tuple[int, int, int]] = None) -> str:
         """Adds a class; there is room for as many as the run was opened with. Returns the id for undo."""
-        more: Dict[str, Any] = {"name": name}
-        if color is not None:
-            more["color"] = [_whole("color", c, 0, 255) for c in color]
-        return self._apply("class", **more)
+        return self._apply("class", name=name, **_color(color))
 
     def add_click(self, frame: Union[str, int], x: float, y: float, class_: str, radius_px: float = 0.0) -> str:
         """Names a pixel of a training frame.
@@ -208,8 +209,7 @@ class Labels:
 
     def rename_class(self, name: str, new_name: str, color: Optional[Tuple[int, int, int]] = None) -> str:
         """Gives a class that was added another name, or with the same name another colour. Returns the id for undo."""
-        more: Dict[str, Any] = {} if color is None else {"color": [_whole("color", c, 0, 255) for c in color]}
-        return self._apply("rename", **{"class": name, "name": new_name, **more})
+        return self._apply("rename", **{"class": name, "name": new_name, **_color(color)})
 
     def undo(self, event: str) -> str:
         """Takes a click, a class or an undo back."""
