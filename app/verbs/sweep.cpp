@@ -137,8 +137,8 @@ int list_cells(const std::vector<Cell>& cells, const std::string& folder, const 
     done += is_done ? 1 : 0;
     planned.push_back(
         {{"cell", cell.id}, {"label", cell.label}, {"scene", cell.scene}, {"seed", cell.seed}, {"done", is_done}});
-    lines += fmt::format("{}{} {}, {}, seed {}{}", lines.empty() ? "" : "\n", cell.id, cell.label, cell.scene,
-                         cell.seed, is_done ? " (done)" : "");
+    lines +=
+        fmt::format("{} {}, {}, seed {}{}\n", cell.id, cell.label, cell.scene, cell.seed, is_done ? " (done)" : "");
   }
   print_note(context, fmt::format("{}: {} experiments, {} cells, {} of them done, in {}", sweep.name,
                                   sweep.experiments.size(), cells.size(), done, folder));

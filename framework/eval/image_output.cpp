@@ -63,12 +63,15 @@ bool needs_16_bits(const ClassTable& classes) {
                      [](const ClassEntry& e) { return e.id > 254; });
 }
 
+void check_label(std::int16_t label, const ClassTable& classes) {
+  SEMFIELD_CHECK(label == kVoid || (label >= 0 && label < classes.valid_count()), "a label lies in the class table");
+}
+
 // Id of each label, checked against the table.
 std::vector<std::uint16_t> ids_of(std::span<const std::int16_t> label, const ClassTable& classes) {
   std::vector<std::uint16_t> ids(label.size());
   for (std::size_t i = 0; i < label.size(); ++i) {
-    SEMFIELD_CHECK(label[i] == kVoid || (label[i] >= 0 && label[i] < classes.valid_count()),
-                   "a label lies in the class table");
+    check_label(label[i], classes);
     const std::int32_t id = classes.id_of(label[i]);
     if (id < 0 || id > 65535) {
       throw Error(ErrorKind::data, "classes.id.large", fmt::format("class id {} does not fit a 16-bit image", id),
@@ -102,8 +105,7 @@ std::vector<std::uint8_t> label_colors(std::span<const std::int16_t> label, cons
   std::vector<std::uint8_t> rgb(label.size() * 3);
   const std::array<std::uint8_t, 3> unlabelled = void_color(classes);
   for (std::size_t i = 0; i < label.size(); ++i) {
-    SEMFIELD_CHECK(label[i] == kVoid || (label[i] >= 0 && label[i] < classes.valid_count()),
-                   "a label lies in the class table");
+    check_label(label[i], classes);
     put(rgb, i, label[i] == kVoid ? unlabelled : classes.valid(label[i]).color);
   }
   return rgb;

@@ -27,6 +27,8 @@ namespace semfield::python {
 
 namespace {
 
+using namespace pybind11::literals;
+
 // An object of Python that threads without the GIL may hold and drop.
 using Held = std::shared_ptr<py::object>;
 
@@ -521,12 +523,9 @@ class PythonEncoder final : public Encoder<Real> {
                 const KernelTables&)
       : owner_("encoder '" + name + "'") {
     called(owner_, [&] {
-      py::dict facts;
-      facts["in_dims"] = build.in_dims;
-      facts["is_direction"] = build.is_direction;
-      facts["extent_m"] = build.extent_m;
-      facts["pixel_footprint_m"] = build.pixel_footprint_m;
-      facts["largest_coordinate"] = build.largest_coordinate;
+      const py::dict facts("in_dims"_a = build.in_dims, "is_direction"_a = build.is_direction,
+                           "extent_m"_a = build.extent_m, "pixel_footprint_m"_a = build.pixel_footprint_m,
+                           "largest_coordinate"_a = build.largest_coordinate);
       const py::object made = type->attr("_made")(params.values(), facts);
       traits_.in_dims = build.in_dims;
       traits_.out_dims = made.attr("out_dims").template cast<std::int32_t>();

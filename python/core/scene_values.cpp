@@ -20,6 +20,8 @@ namespace semfield::python {
 
 namespace {
 
+using namespace pybind11::literals;
+
 std::string place_of(const std::string& origin, const std::string& key) {
   return key.empty() ? origin : origin + ": " + key;
 }
@@ -267,16 +269,10 @@ Camera camera_of(const py::dict& camera) {
   return out;
 }
 
-py::dict camera_dict(const Camera& camera) {
-  py::dict out;
-  out["width"] = camera.width_px;
-  out["height"] = camera.height_px;
-  out["fx"] = camera.fx;
-  out["fy"] = camera.fy;
-  out["cx"] = camera.cx;
-  out["cy"] = camera.cy;
-  if (camera.is_wide()) out["lens"] = camera.lens == LensKind::fisheye ? kFisheye : kPanorama;
-  out["distortion"] = py::make_tuple(camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, camera.k4);
+py::dict camera_dict(const Camera& c) {
+  py::dict out("width"_a = c.width_px, "height"_a = c.height_px, "fx"_a = c.fx, "fy"_a = c.fy, "cx"_a = c.cx,
+               "cy"_a = c.cy, "distortion"_a = py::make_tuple(c.k1, c.k2, c.p1, c.p2, c.k3, c.k4));
+  if (c.is_wide()) out["lens"] = c.lens == LensKind::fisheye ? kFisheye : kPanorama;
   return out;
 }
 
