@@ -232,13 +232,22 @@ TEST_F(CudaRanks, OneRankThroughNcclHasTheBitsOfNone) {
 // memory, the driver may wait for the other device, which in this test belongs to the same process.
 TEST_F(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
   if (devices() < 2) GTEST_SKIP() << "this machine has one device";
+  // A table's entries are summed by atomics: two runs on one device differ in their bits from the second step on.
   const std::string hash = stratified_config("type: analytic_room", "", "steps: 20, rays: 64");
-  for (const std::string& yaml : {two_pass_config("runtime: {device: cuda}\n"), hash + "runtime: {device: cuda}\n",
-                                  two_pass_config("runtime: {device: cuda, precision: bf16}\n")}) {
+  for (const auto& [yaml, has_table] :
+       {std::pair(two_pass_config("runtime: {device: cuda}\n"), false),
+        std::pair(hash + "runtime: {device: cuda}\n", true),
+        std::pair(two_pass_config("runtime: {device: cuda, precision: bf16}\n"), false)}) {
     Trained one_device, two_devices;
     lead_ranks(2, false, yaml, train_into(one_device));
     lead_ranks(2, true, yaml, train_into(two_devices));
-    expect_same_bits(two_devices, one_device, yaml);
+    if (!has_table) {
+      expect_same_bits(two_devices, one_device, yaml);
+      continue;
+    }
+    ASSERT_EQ(two_devices.losses.size(), one_device.losses.size());
+    for (std::size_t i = 0; i < one_device.losses.size(); ++i)
+      expect_near(two_devices.losses[i].total, one_device.losses[i].total, i == 0 ? 0 : 1e-5, yaml + std::to_string(i));
   }
 }
 
