@@ -339,7 +339,7 @@ void flush_to_zero(CaseRun& run) {
     table.kernels.gemm(g);
     _mm_setcsr(before);
     for (std::size_t i = 0; i < 8; ++i) {
-      run.measure(std::abs(static_cast<double>(c[i]) - 1.6e-39), 16 * 0x1p-149, "product of small numbers");
+      run.near(c[i], 1.6e-39, 16 * 0x1p-149, "product of small numbers");
       flushed = std::max(flushed, std::abs(static_cast<double>(c[i]) - static_cast<double>(d[i])));
     }
   }
@@ -570,8 +570,8 @@ void long_index(CaseRun& run) {
   }
   run.expect(inside, "every pixel drawn lies in a frame");
   // 200 draws per frame: a binomial count is within 6 of its deviations of 13.7.
-  for (const int count : drawn) run.measure(std::abs(count - 200), 6 * 13.7, "draws of a frame");
-  run.measure(std::abs(mean - 0.5), 6 * 0.2887 / std::sqrt(3000.0), "mean place in a frame");
+  for (const int count : drawn) run.near(count, 200, 6 * 13.7, "draws of a frame");
+  run.near(mean, 0.5, 6 * 0.2887 / std::sqrt(3000.0), "mean place in a frame");
   frames.resize(17, frames[0]);
   run.expect_error(ErrorKind::data, {"more than 2^32 pixels"}, [&] { const RaySource more(frames, {}, {}, options); });
 }
@@ -648,10 +648,10 @@ void whole_step(CaseRun& run) {
   for (const auto* kind : {&hash, &deep}) {
     for (const Measured& m : *kind) {
       // Against the same step in float64, and against the weakest set.
-      run.measure(relative_error(m.step.loss, m.step.oracle_loss), 1e-5, "loss on " + m.set);
-      run.measure(relative_error(m.step.norm, m.step.oracle_norm), 1e-4, "norm on " + m.set);
-      run.measure(relative_error(m.step.loss, kind->front().step.loss), 1e-5, "loss between sets");
-      run.measure(relative_error(m.step.norm, kind->front().step.norm), 1e-4, "norm between sets");
+      run.relative(m.step.loss, m.step.oracle_loss, 1e-5, "loss on " + m.set);
+      run.relative(m.step.norm, m.step.oracle_norm, 1e-4, "norm on " + m.set);
+      run.relative(m.step.loss, kind->front().step.loss, 1e-5, "loss between sets");
+      run.relative(m.step.norm, kind->front().step.norm, 1e-4, "norm between sets");
       psnr = std::max(psnr, std::abs(m.step.psnr_db - kind->front().step.psnr_db));
     }
   }
@@ -671,17 +671,17 @@ void whole_step(CaseRun& run) {
   run.row("float64");
   for (const auto* kind : {&hash, &deep}) {
     for (const Measured& m : *kind) {
-      run.measure(relative_error(m.step.oracle_loss, kind->front().step.oracle_loss), 1e-12, "loss");
-      run.measure(relative_error(m.step.oracle_norm, kind->front().step.oracle_norm), 1e-12, "norm");
+      run.relative(m.step.oracle_loss, kind->front().step.oracle_loss, 1e-12, "loss");
+      run.relative(m.step.oracle_norm, kind->front().step.oracle_norm, 1e-12, "norm");
     }
   }
   run.row("bf16");
   const Step& bf16 = more[1].step;
   run.expect(bf16.state != deep.back().step.state, "it is another arithmetic");
   // Products of 8 significant bits: 2^-8 a factor.
-  run.measure(relative_error(bf16.loss, bf16.oracle_loss), 0x1p-8, "loss");
-  run.measure(relative_error(bf16.norm, bf16.oracle_norm), 0x1p-4, "gradient norm");
-  run.measure(std::abs(bf16.psnr_db - deep.back().step.psnr_db), 0.5, "PSNR after training, dB");
+  run.relative(bf16.loss, bf16.oracle_loss, 0x1p-8, "loss");
+  run.relative(bf16.norm, bf16.oracle_norm, 0x1p-4, "gradient norm");
+  run.near(bf16.psnr_db, deep.back().step.psnr_db, 0.5, "PSNR after training, dB");
 }
 
 // I07: the checks for NaN and infinity are alive in the build that is shipped.
@@ -932,8 +932,7 @@ void subnormals_on_device(CaseRun& run) {
   const std::vector<float> y = identity.forward(x);
   int subnormal = 0;
   for (std::size_t i = 0; i < x.size(); ++i) {
-    run.measure(std::abs(static_cast<double>(y[i]) - static_cast<double>(static_cast<float>(x[i]))), 0,
-                "a number that becomes subnormal");
+    run.near(y[i], static_cast<float>(x[i]), 0, "a number that becomes subnormal");
     subnormal += std::fpclassify(y[i]) == FP_SUBNORMAL ? 1 : 0;
   }
   run.expect(subnormal > 100, "subnormal numbers were among them");
@@ -1044,12 +1043,12 @@ void step_in(CaseRun& run, Registry& registry, bool bf16) {
                   registry);
     const double want = cpu.train(1).total, got = cuda.train(1).total;
     // In bf16 products of 8 significant bits; all as on the CPU's own rows.
-    run.measure(relative_error(got, want), bf16 ? 0x1p-8 : 1e-5, "loss of a step");
-    run.measure(relative_error(cuda.gradient_norm(), cpu.gradient_norm()), bf16 ? 0x1p-4 : 1e-4, "gradient norm");
+    run.relative(got, want, bf16 ? 0x1p-8 : 1e-5, "loss of a step");
+    run.relative(cuda.gradient_norm(), cpu.gradient_norm(), bf16 ? 0x1p-4 : 1e-4, "gradient norm");
     cpu.train(network.steps);
     cuda.train(network.steps);
     const double there = cuda.psnr_db(), here = cpu.psnr_db();
-    run.measure(std::abs(there - here), bf16 ? 0.5 : 0.05, "PSNR after training, dB");
+    run.near(there, here, bf16 ? 0.5 : 0.05, "PSNR after training, dB");
     char text[96];
     std::snprintf(text, sizeof text, "%.3f dB after %d steps, %.3f dB on the CPU", there,
                   static_cast<int>(network.steps), here);

@@ -284,7 +284,7 @@ void pe_geometry(CaseRun& run) {
                "it names pass and part, and how many of how many bands count");
     // Bounds fill [-1, 1]; floor(log2(0.1 / (pi dx))) with dx = 2^-24, twice that where factor and product round too.
     const int bands = std::stoi(line->substr(line->find("effective_bands is ") + 19));
-    run.measure(std::abs(bands - (std::string(arithmetic) == "naive" ? 18 : 19)), 0, "bands that count");
+    run.near(bands, std::string(arithmetic) == "naive" ? 18 : 19, 0, "bands that count");
   }
 }
 
@@ -373,7 +373,7 @@ IN_BOTH_PRECISIONS(directions) {
       for (int m = -l; m <= l; ++m) {
         const Real value = y[l * l + l + m];
         const long double want = m == 0 ? std::sqrt((2 * l + 1) / (4 * pi)) * (l % 2 == 0 ? 1 : sign) : 0.0L;
-        run.measure(relative_error(value, want), m == 0 ? tolerance_of<Real>(2.4e-7) : 0.0, "on the axis");
+        run.relative(value, want, m == 0 ? tolerance_of<Real>(2.4e-7) : 0.0, "on the axis");
       }
     }
   }
@@ -390,8 +390,7 @@ IN_BOTH_PRECISIONS(directions) {
       long double squares = 0;
       for (std::size_t i = l * l; i < (l + 1) * (l + 1); ++i)
         squares += long_double(y[25 * r + i]) * long_double(y[25 * r + i]);
-      run.measure(relative_error(squares, long_double(2 * l + 1) / (4 * pi)), tolerance_of<Real>(4e-6),
-                  "addition theorem");
+      run.relative(squares, long_double(2 * l + 1) / (4 * pi), tolerance_of<Real>(4e-6), "addition theorem");
     }
   }
   const double nan = std::nan("");
@@ -468,14 +467,14 @@ void hash_faces(CaseRun& run) {
         const Tensors<Real> tensors{{&value, 1}, {&grad, 1}};
         std::vector<Real> y(static_cast<std::size_t>(rows * features)), dy(y.size(), Real(1));
         box.encoder().forward(box.context(), tensors, {x.data(), rows, 3}, {y.data(), rows, features});
-        for (const Real sum : y) run.measure(std::abs(static_cast<double>(sum) - 1), tolerance_of<Real>(2e-7), "sum w");
+        for (const Real sum : y) run.near(sum, 1, tolerance_of<Real>(2e-7), "sum w");
         std::vector<Real> dx(x.size());
         box.encoder().backward(box.context(), tensors, {x.data(), rows, 3}, {dy.data(), rows, features},
                                {dx.data(), rows, 3});
         run.expect(grads.broken_guard().empty(), "gradients stay inside the table");
         long double spread = 0;
         for (std::int64_t r = 0; r < spec.rows; ++r) spread += long_double(grad(r, 0));
-        run.measure(relative_error(spread, rows), tolerance_of<Real>(2e-6), "gradient handed to the table");
+        run.relative(spread, rows, tolerance_of<Real>(2e-6), "gradient handed to the table");
       }
     }
   });
@@ -625,8 +624,8 @@ void hash_small_gradients(CaseRun& run) {
       // of a gradient and a corner's weight counts as 0 below the least normal number: 1e-38, which 1e-36 comes near.
       const double flushed =
           8.0 * static_cast<double>(dy.size()) * static_cast<double>(std::numeric_limits<Real>::min());
-      run.measure(relative_error(got, want), tolerance_of<Real>(6e-6) + flushed / static_cast<double>(want),
-                  fmt::format("gradients near 1e{}", exponent));
+      run.relative(got, want, tolerance_of<Real>(6e-6) + flushed / static_cast<double>(want),
+                   fmt::format("gradients near 1e{}", exponent));
     }
   });
   run.row("fp16");

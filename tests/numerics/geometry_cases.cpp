@@ -79,7 +79,7 @@ void box_on_face(CaseRun& run) {
     run.expect(intersect(kBox, o, d, t_near, t_far), "a ray that starts on a face and does not leave meets the box");
     run.measure(std::abs(t_near), 0, "t_near");
     const long double exit = std::min(exit_of(kBox, o, d), 1e300L);
-    run.measure(relative_error(t_far, exit), 3e-16, "t_far");  // one subtraction, one division
+    run.relative(t_far, exit, 3e-16, "t_far");  // one subtraction, one division
     ++rays;
   }
   // The same through a camera: directions along an axis are exact.
@@ -89,7 +89,7 @@ void box_on_face(CaseRun& run) {
       o[(axis + 1) % 3] = kBox.hi[(axis + 1) % 3];
       double origin[3], direction[3], near_far[2];
       cast_ray(looking_along(o, axis, sign), limits_of(kBox), 0, 0, origin, direction, near_far);
-      run.measure(std::abs(near_far[1] - 0.5 * kBox.size()[axis]), 0, "length of a ray in a face");
+      run.near(near_far[1], 0.5 * kBox.size()[axis], 0, "length of a ray in a face");
       run.measure(std::abs(near_far[0]), 0, "its near end");
     }
   }
@@ -158,8 +158,8 @@ void box_every_place(CaseRun& run) {
       run.expect(hit == expected, "hit or miss as rational numbers tell");
       (expected ? hits : misses) += 1;
       if (!hit || !expected) continue;
-      run.measure(std::abs(t_near - enter.value()), 0, "t_near");
-      run.measure(std::abs(t_far - leave.value()), 0, "t_far");
+      run.near(t_near, enter.value(), 0, "t_near");
+      run.near(t_far, leave.value(), 0, "t_far");
     }
   }
   run.note(std::to_string(hits) + " hits, " + std::to_string(misses) + " misses, every one as expected");
@@ -190,8 +190,8 @@ void box_thin(CaseRun& run) {
     }
     double t_near = 0, t_far = 0;
     run.expect(intersect(box, {-0.75, -0.75, -0.75}, {1, 1, 1}, t_near, t_far), "a diagonal ray meets it");
-    run.measure(std::abs(t_near - 1), 0, "its distance");
-    run.measure(std::abs(t_far - 1), 0, "where it leaves");
+    run.near(t_near, 1, 0, "its distance");
+    run.near(t_far, 1, 0, "where it leaves");
   }
 }
 
@@ -316,7 +316,7 @@ void quaternion_scales(CaseRun& run) {
     for (int i = 0; i < 3; ++i) {
       const auto c = static_cast<std::size_t>(i);
       const long double centre = -(truth[0][c] * 0.5L - truth[1][c] * 2 + truth[2][c] * 3);
-      run.measure(static_cast<double>(std::abs(pose.t[i] - centre)), 1e-14, "camera centre");
+      run.near(pose.t[i], centre, 1e-14, "camera centre");
     }
   }
   run.expect(!diagnostics.has_errors(), "no error for the others");
@@ -518,7 +518,7 @@ void slivers(CaseRun& run) {
     if (inside) run.expect(hit.hit(), "the face given three times is met");
     if (!hit.hit()) continue;
     ++hits;
-    run.measure(std::abs(hit.distance_m - 1), 1e-12, "distance");
+    run.near(hit.distance_m, 1, 1e-12, "distance");
     run.expect(std::isfinite(hit.b1) && std::isfinite(hit.b2), "barycentric weights are finite");
   }
   run.expect(hits > 100, "rays were cast");
@@ -543,7 +543,7 @@ void slivers(CaseRun& run) {
     run.expect(finite(p), "vertices are finite");
     run.measure(std::abs(std::abs(p.x) + std::abs(p.y) + std::abs(p.z) - 1), 1e-12, "vertices lie on it");
   }
-  for (const Vec3d& n : with_normals.normals) run.measure(std::abs(length(n) - 1), 1e-12, "normals are unit vectors");
+  for (const Vec3d& n : with_normals.normals) run.near(length(n), 1, 1e-12, "normals are unit vectors");
   run.note(std::to_string(flat) + " of " + std::to_string(surface.triangles.size()) +
            " triangles of an octahedron through grid points have no area");
 }

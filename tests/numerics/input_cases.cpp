@@ -147,7 +147,7 @@ void float_depth(CaseRun& run) {
   data->read(0, frame);
   run.expect(frame.depth_m.size() == wanted.size(), "all pixels");
   for (std::size_t i = 0; i < wanted.size() && i < frame.depth_m.size(); ++i)
-    run.measure(std::abs(static_cast<double>(frame.depth_m[i]) - static_cast<double>(wanted[i])), 0, "depth");
+    run.near(frame.depth_m[i], wanted[i], 0, "depth");
   run.note("NaN, infinite and negative depth reads as none");
   plain_write(root + "/d.exr", exr_of(4, 3, written).substr(0, 340));
   run.expect_error(ErrorKind::data, {"d.exr"}, [&] { data->read(0, frame); });
@@ -178,10 +178,10 @@ void special_depth(CaseRun& run) {
   const LoadedScene special = load();
   run.expect(masked.frames[0].depth_m == special.frames[0].depth_m, "65535 reads as 0 does: no depth");
   for (std::size_t i = 0; i < wanted.size(); ++i)
-    run.measure(std::abs(special.frames[0].depth_m[i] - wanted[i]), 0, "depth of the others");
+    run.near(special.frames[0].depth_m[i], wanted[i], 0, "depth of the others");
   for (int a = 0; a < 3; ++a) {
-    run.measure(std::abs(masked.bounds.lo[a] - special.bounds.lo[a]), 0, "bounds");
-    run.measure(std::abs(masked.bounds.hi[a] - special.bounds.hi[a]), 0, "bounds");
+    run.near(masked.bounds.lo[a], special.bounds.lo[a], 0, "bounds");
+    run.near(masked.bounds.hi[a], special.bounds.hi[a], 0, "bounds");
   }
   run.measure(std::abs(masked.far_m - special.far_m) + std::abs(masked.near_m - special.near_m), 0, "distances");
   // In the metrics: NaN, infinite, negative and zero truth is no truth.
@@ -203,7 +203,7 @@ void special_depth(CaseRun& run) {
     spoilt.depth_target = {0, -0.0F, std::numeric_limits<float>::quiet_NaN(), -1, 2};
     const std::string& name = entry->name;
     run.expect(term->counted_rays(spoilt.targets(), 5) == 1, name + " counts one pixel");
-    run.measure(std::abs(spoilt.add(*term, 1) - sound.add(*term, 1)), 0, name);
+    run.near(spoilt.add(*term, 1), sound.add(*term, 1), 0, name);
     run.expect(spoilt.d_depth == sound.d_depth && spoilt.d_weight == sound.d_weight, name + " has the same gradients");
     run.measure(std::abs(spoilt.d_depth[2]), 0, name + ", gradient of a pixel without depth");
   }

@@ -33,7 +33,7 @@ void psnr_identical(CaseRun& run) {
   same.add(image, image);
   run.measure(same.mse().value_or(1), 0, "mean squared error");
   run.expect(same.psnr_db() && std::isinf(*same.psnr_db()) && *same.psnr_db() > 0, "PSNR is +infinity");
-  run.measure(std::abs(ssim(image, image, 40, 30, 3).value_or(0) - 1), 1e-12, "SSIM of an image with itself");
+  run.near(ssim(image, image, 40, 30, 3).value_or(0), 1, 1e-12, "SSIM of an image with itself");
   MetricsRow row;
   row.set("psnr", same.psnr_db());
   const std::string line = metrics_line(row);
@@ -53,8 +53,7 @@ void psnr_identical(CaseRun& run) {
   }
   ColorError far;
   far.add(image, other);
-  run.measure(relative_error(far.psnr_db().value_or(0), -10 * std::log10(sum / long_double(image.size()))), 1e-12,
-              "PSNR of noise");
+  run.relative(far.psnr_db().value_or(0), -10 * std::log10(sum / long_double(image.size())), 1e-12, "PSNR of noise");
 }
 
 void nan_pixel(CaseRun& run) {
@@ -155,13 +154,13 @@ void depth_zero(CaseRun& run) {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   depth.add(std::vector<float>{1, 2, 4, 5, 0, 20, nan, -1}, std::vector<float>{0, 3, -1, 5, 1, 1, 1, 1});
   run.expect(depth.valid_truth_px() == 4 && depth.scored_px() == 2 && depth.nonfinite() == 0, "2 of 4 are scored");
-  run.measure(std::abs(depth.coverage().value_or(0) - 0.5), 0, "coverage");
-  run.measure(std::abs(depth.abs_rel().value_or(0) - 0.25), 1e-15, "|p - t| / t");
-  run.measure(std::abs(depth.abs_diff().value_or(0) - 0.5), 1e-15, "|p - t|");
-  run.measure(std::abs(depth.sq_rel().value_or(0) - 0.25), 1e-15, "(p - t)^2 / t");
-  run.measure(std::abs(depth.rmse().value_or(0) - std::sqrt(0.5)), 1e-15, "rmse");
-  run.measure(std::abs(depth.delta(1).value_or(0) - 0.5), 0, "delta 1: a ratio of 1.5 is outside 1.25");
-  run.measure(std::abs(depth.delta(2).value_or(0) - 1), 0, "delta 2: and inside 1.25^2");
+  run.near(depth.coverage().value_or(0), 0.5, 0, "coverage");
+  run.near(depth.abs_rel().value_or(0), 0.25, 1e-15, "|p - t| / t");
+  run.near(depth.abs_diff().value_or(0), 0.5, 1e-15, "|p - t|");
+  run.near(depth.sq_rel().value_or(0), 0.25, 1e-15, "(p - t)^2 / t");
+  run.near(depth.rmse().value_or(0), std::sqrt(0.5), 1e-15, "rmse");
+  run.near(depth.delta(1).value_or(0), 0.5, 0, "delta 1: a ratio of 1.5 is outside 1.25");
+  run.near(depth.delta(2).value_or(0), 1, 0, "delta 2: and inside 1.25^2");
   DepthError dark(10);
   dark.add(std::vector<float>{1, 2}, std::vector<float>{0, 0});
   run.expect(!dark.rmse() && !dark.delta(1), "a dark picture has no depth error");

@@ -50,6 +50,14 @@ void CaseRun::measure(double error, double tolerance, std::string_view what) {
     fail(std::string(what.empty() ? "error" : what) + " " + std::to_string(ratio) + " times its tolerance");
 }
 
+void CaseRun::near(long double got, long double want, double tolerance, std::string_view what) {
+  measure(static_cast<double>(std::abs(got - want)), tolerance, what);
+}
+
+void CaseRun::relative(long double got, long double want, double tolerance, std::string_view what) {
+  measure(relative_error(got, want), tolerance, what);
+}
+
 void CaseRun::expect(bool holds, std::string_view claim) {
   ++current().checks;
   if (!holds) fail("not so: " + std::string(claim));

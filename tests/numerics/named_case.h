@@ -24,6 +24,9 @@ class CaseRun : NonCopyable {
   void row(std::string_view precision);
   /// error <= tolerance (0: exactly). The row shows the error with the worst ratio; `what` names it when it fails.
   void measure(double error, double tolerance, std::string_view what = {});
+  /// The same of |got - want|, and of that over |want|, in long double.
+  void near(long double got, long double want, double tolerance, std::string_view what = {});
+  void relative(long double got, long double want, double tolerance, std::string_view what = {});
   /// A claim without a number.
   void expect(bool holds, std::string_view claim);
   /// `call` throws Error of `kind` whose text holds every one of `words`.

@@ -177,8 +177,7 @@ IN_BOTH_PRECISIONS(one_hot_entropy) {
       s[1] = v;
       run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
       const std::vector<Real> p = softmax_of(s);
-      for (std::size_t c = 0; c < classes; ++c)
-        run.measure(std::abs(static_cast<double>(p[c]) - (c == 1 ? 1 : 0)), 0, "probability");
+      for (std::size_t c = 0; c < classes; ++c) run.near(p[c], c == 1 ? 1 : 0, 0, "probability");
       run.measure(loss_of<Real>(s, 1, &gradient).sum, 0, "loss");
       for (const Real g : gradient) run.measure(std::abs(g), 0, "gradient");
     }
@@ -192,7 +191,7 @@ IN_BOTH_PRECISIONS(one_class) {
     run.measure(loss_of<Real>(s, 0, &gradient).sum, 0, "loss");
     run.measure(std::abs(gradient[0]), 0, "gradient");
     run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
-    run.measure(std::abs(static_cast<double>(softmax_of(s)[0]) - 1), 0, "probability");
+    run.near(softmax_of(s)[0], 1, 0, "probability");
     run.expect(loss_of<Real>(s, 0, nullptr).correct == 1, "the only class is right");
   }
 }
@@ -215,19 +214,19 @@ void one_labelled(CaseRun& run) {
     double first = 0;
     for (const auto& [kind, divisor] : kinds) {
       const double normaliser = semantic_normaliser(kind, labelled_weight(targets, {}), kRays);
-      run.measure(relative_error(normaliser, divisor), 0, "normaliser");
+      run.relative(normaliser, divisor, 0, "normaliser");
       std::vector<Real> gradient(logits.size(), Real(-9));
       const SemanticLoss loss = semantic_cross_entropy<Real>({logits.data(), kRays, kClasses}, targets, {}, normaliser,
                                                              1.0, {gradient.data(), kRays, kClasses});
       const double value = loss.sum / normaliser;
       run.expect(loss.labelled == 1, "one ray is labelled");
-      run.measure(relative_error(value, want.surprise(one, 9) / divisor), tolerance_of<Real>(1e-6), "loss");
+      run.relative(value, want.surprise(one, 9) / divisor, tolerance_of<Real>(1e-6), "loss");
       if (first == 0) first = value;
-      run.measure(std::abs(value * static_cast<double>(divisor) - first), 0, "ratio 1 : 1 : 1/1,024");
+      run.near(value * static_cast<double>(divisor), first, 0, "ratio 1 : 1 : 1/1,024");
       for (std::size_t i = 0; i < gradient.size(); ++i) {
         const std::size_t ray = i / kClasses;
         const long double slope = ray == 700 ? want.slope(i % kClasses, 9) / divisor : 0.0L;
-        run.measure(relative_error(gradient[i], slope), ray == 700 ? tolerance_of<Real>(1e-6) : 0.0, "gradient");
+        run.relative(gradient[i], slope, ray == 700 ? tolerance_of<Real>(1e-6) : 0.0, "gradient");
       }
     }
   });
@@ -251,13 +250,12 @@ IN_BOTH_PRECISIONS(soft_labels) {
     std::vector<Real> gradient(s.size());
     const double loss =
         semantic_cross_entropy<Real>(row_of(std::as_const(s)), targets, {}, 1.0, 1.0, row_of(gradient)).sum;
-    run.measure(relative_error(loss, want), tolerance_of<Real>(1e-6), "loss");
+    run.relative(loss, want, tolerance_of<Real>(1e-6), "loss");
     for (std::size_t c = 0; c < s.size(); ++c) {
       const long double slope = row.p[c] - long_double(target[c]) / sum;
-      run.measure(static_cast<double>(std::abs(long_double(gradient[c]) - slope)), tolerance_of<Real>(1e-7),
-                  "gradient");
+      run.near(gradient[c], slope, tolerance_of<Real>(1e-7), "gradient");
     }
-    run.measure(std::abs(labelled_weight(targets, {}) - 1), 0, "a soft row counts once");
+    run.near(labelled_weight(targets, {}), 1, 0, "a soft row counts once");
   }
   const std::vector<Real> s(4, Real(1));
   const std::vector<float> zeros(4, 0.f);
@@ -287,7 +285,7 @@ void class_weights(CaseRun& run) {
     const std::vector<float> weights = inverse_log_frequency_weights(pixels);
     for (std::size_t c = 0; c < pixels.size(); ++c) {
       const long double frequency = total > 0 ? long_double(pixels[c]) / total : 0.0L;
-      run.measure(relative_error(weights[c], 1 / std::log(1.02L + frequency)), 1e-6, "weight");
+      run.relative(weights[c], 1 / std::log(1.02L + frequency), 1e-6, "weight");
       run.expect(weights[c] > 0 && weights[c] <= 50.5f, "at most 1 / ln 1.02");
     }
   }
@@ -297,9 +295,9 @@ void class_weights(CaseRun& run) {
     const double weight = static_cast<double>(weights[static_cast<std::size_t>(label)]);
     std::vector<double> plain(2), weighted(2);
     const double sum = loss_of<double>(logits, label, &plain).sum;
-    run.measure(std::abs(loss_of<double>(logits, label, &weighted, row_of(weights)).sum - weight * sum), 1e-15, "loss");
-    for (std::size_t c = 0; c < 2; ++c) run.measure(std::abs(weighted[c] - weight * plain[c]), 1e-15, "gradient");
-    run.measure(std::abs(labelled_weight({.hard = {&label, 1, 1}}, row_of(weights)) - weight), 0, "labelled weight");
+    run.near(loss_of<double>(logits, label, &weighted, row_of(weights)).sum, weight * sum, 1e-15, "loss");
+    for (std::size_t c = 0; c < 2; ++c) run.near(weighted[c], weight * plain[c], 1e-15, "gradient");
+    run.near(labelled_weight({.hard = {&label, 1, 1}}, row_of(weights)), weight, 0, "labelled weight");
   }
   run.note(fmt::format("an absent class weighs {:.4f}", inverse_log_frequency_weights({0, 1})[0]));
 }
@@ -310,12 +308,11 @@ IN_BOTH_PRECISIONS(double_softmax) {
   std::vector<Real> s(28, Real(0)), gradient(28);
   s[4] = 40;
   const long double want = std::log1p(27 * std::exp(-40.0L));
-  run.measure(relative_error(loss_of<Real>(s, 4, &gradient).sum, want), tolerance_of<Real>(1e-6),
-              "cross-entropy of a margin of 40");
+  run.relative(loss_of<Real>(s, 4, &gradient).sum, want, tolerance_of<Real>(1e-6), "cross-entropy of a margin of 40");
   const std::vector<Real> twice = softmax_of(s);
   const double floor = std::log1p(27 * std::exp(-1.0));
-  run.measure(relative_error(loss_of<Real>(twice, 4, nullptr).sum, floor), tolerance_of<Real>(1e-6),
-              "what a second softmax would give");
+  run.relative(loss_of<Real>(twice, 4, nullptr).sum, floor, tolerance_of<Real>(1e-6),
+               "what a second softmax would give");
   run.expect(!std::is_invocable_v<decltype(&semantic_cross_entropy<Real>), View<Real>, View<const float>,
                                   View<const float>, double, double, View<Real>, std::int64_t>,
              "bare probabilities are no targets to the compiler");
@@ -423,8 +420,7 @@ void check_saturated_field(CaseRun& run, const std::string& name, Precision prec
     const Real g = box.grad(static_cast<std::size_t>(bias))(0, c);
     run.expect(std::isfinite(g) && g >= 0, "a saturated gradient is finite and not negative");
     // 1 - y is taken from the rounded y: absolute, not relative.
-    run.measure(static_cast<double>(std::abs(long_double(g) - kSamples * y * (1 - y))), tolerance_of<Real>(1e-6),
-                "colour gradient");
+    run.near(g, kSamples * y * (1 - y), tolerance_of<Real>(1e-6), "colour gradient");
   }
 }
 
@@ -466,10 +462,10 @@ void hdr_target(CaseRun& run) {
       const long double error = long_double(color[i]) - long_double(target[i]);
       want += error * error;
     }
-    run.measure(relative_error(loss(), want), tolerance_of<Real>(1e-6), "loss, not clamped");
+    run.relative(loss(), want, tolerance_of<Real>(1e-6), "loss, not clamped");
     for (std::size_t i = 0; i < 6; ++i) {
       const long double error = long_double(color[i]) - long_double(target[i]);
-      run.measure(relative_error(slope[i], error / 3), tolerance_of<Real>(1e-6), "gradient");
+      run.relative(slope[i], error / 3, tolerance_of<Real>(1e-6), "gradient");
     }
     target[4] = nan;
     run.expect(std::isnan(loss()), "a NaN target shows in the loss");
@@ -544,7 +540,7 @@ IN_BOTH_PRECISIONS(large_exponents) {
         run.expect(std::isfinite(rays.sigma[i]) && std::isfinite(rays.weight[i]), "forward is finite");
         run.expect(std::isfinite(rays.d_sigma[i]) && std::isfinite(d_raw[i]), "backward is finite");
       }
-      run.measure(std::abs(static_cast<double>(rays.opacity[0]) - 1), tolerance_of<Real>(1.2e-7), "opacity");
+      run.near(rays.opacity[0], 1, tolerance_of<Real>(1.2e-7), "opacity");
       // What is seen behind: the exponent's rounding, u tau, is the weight's relative error.
       const auto before = long_double(rays.sigma[0]) * long_double(rays.delta[0]) +
                           long_double(rays.sigma[1]) * long_double(rays.delta[1]);
@@ -552,7 +548,7 @@ IN_BOTH_PRECISIONS(large_exponents) {
           std::exp(-before) * -std::expm1(-long_double(rays.sigma[2]) * long_double(rays.delta[2]));
       run.measure(error_above_quantum<Real>(rays.weight[2], behind), tolerance_of<Real>(2e-5), "weight behind");
       const long double want = density_reference(kind, long_double(raw));
-      run.measure(relative_error(rays.sigma[1], want), tolerance_of<Real>(1e-6), "density");
+      run.relative(rays.sigma[1], want, tolerance_of<Real>(1e-6), "density");
     }
   }
 }
@@ -735,8 +731,8 @@ IN_BOTH_PRECISIONS(empty_ray) {
   for (const Real s : ray.logits) run.measure(std::abs(s), 0, "logit");
   std::vector<Real> p(kClasses);
   softmax<Real>(row_of(std::as_const(ray.logits)), row_of(p));
-  for (const Real one : p) run.measure(std::abs(one - Real(1) / Real(kClasses)), 0, "probability 1/C");
-  run.measure(relative_error(loss, std::log(long_double(kClasses))), 4e-16, "loss ln C");
+  for (const Real one : p) run.near(one, Real(1) / Real(kClasses), 0, "probability 1/C");
+  run.relative(loss, std::log(long_double(kClasses)), 4e-16, "loss ln C");
   // At density 0 only the sample's own weight moves: dL/dsigma_k = delta_k (h_k W + b) . (1/C - [label]).
   ray.backward();
   SemanticRay<double> oracle(6);
@@ -749,7 +745,7 @@ IN_BOTH_PRECISIONS(empty_ray) {
       want += s * (1.0L / kClasses - (c == kLabel ? 1 : 0));
     }
     want *= long_double(ray.rays.delta[k]);
-    run.measure(relative_error(ray.rays.d_sigma[k], want), tolerance_of<Real>(1e-5), "density gradient");
+    run.relative(ray.rays.d_sigma[k], want, tolerance_of<Real>(1e-5), "density gradient");
     // The same by differences of the whole way, one-sided and extrapolated twice: densities are not negative.
     double at[4];
     for (int i = 0; i < 4; ++i) {
@@ -759,7 +755,7 @@ IN_BOTH_PRECISIONS(empty_ray) {
     oracle.rays.sigma[k] = 0;
     const double d1 = (at[1] - at[0]) / 1e-3, d2 = (at[2] - at[0]) / 2e-3, d4 = (at[3] - at[0]) / 4e-3;
     const double e1 = 2 * d1 - d2, e2 = 2 * d2 - d4;
-    run.measure(std::abs((4 * e1 - e2) / 3 - static_cast<double>(ray.rays.d_sigma[k])), 2e-6, "by differences");
+    run.near((4 * e1 - e2) / 3, ray.rays.d_sigma[k], 2e-6, "by differences");
   }
 }
 
@@ -777,9 +773,9 @@ IN_BOTH_PRECISIONS(half_opacity) {
       }
       (by_bias ? ray.bias() : ray.weight())(0, kLabel) = Real(10);
       const double loss = ray.loss();
-      run.measure(std::abs(static_cast<double>(ray.rays.opacity[0]) - 0.5), tolerance_of<Real>(2e-7), "opacity");
-      run.measure(std::abs(std::exp(-loss) - static_cast<double>(want)), tolerance_of<Real>(1e-6),
-                  by_bias ? "probability, by the bias" : "probability, by the weights");
+      run.near(ray.rays.opacity[0], 0.5, tolerance_of<Real>(2e-7), "opacity");
+      run.near(std::exp(-loss), want, tolerance_of<Real>(1e-6),
+               by_bias ? "probability, by the bias" : "probability, by the weights");
       run.expect(std::abs(std::exp(-loss) - 0.84608) < 1e-5, "0.8461");
     }
   }
@@ -804,7 +800,7 @@ void detached(CaseRun& run) {
     for (std::size_t i = 0; i < rays.d_hidden.size(); ++i) {
       const std::size_t sample = i / 5, ray = static_cast<std::size_t>(rays.ray[sample]);
       const long double want = long_double(rays.weight[sample]) * long_double(rays.g_hidden[5 * ray + i % 5]);
-      run.measure(relative_error(rays.d_hidden[i], want), tolerance_of<Real>(1e-6), "dL/dh");
+      run.relative(rays.d_hidden[i], want, tolerance_of<Real>(1e-6), "dL/dh");
     }
     rays.backward();
     run.expect(std::any_of(rays.d_sigma.begin(), rays.d_sigma.end(), [](Real g) { return g != Real(0); }),
@@ -952,11 +948,11 @@ IN_BOTH_PRECISIONS(adam_sizes) {
     for (std::size_t i = 0; i < kSizes; ++i) {
       const std::string at = fmt::format("gradients near 1e{}", static_cast<int>(i) - 20);
       check(run, state, i, want[i], tolerance_of<Real>(1e-5), at);
-      run.measure(relative_error(state.m[i], want[i].m), tolerance_of<Real>(1e-5), at);
+      run.relative(state.m[i], want[i].m, tolerance_of<Real>(1e-5), at);
       // Squares of gradients below 1e-15 leave the normal range of fp32; the root of them stands beside epsilon. In
       // fp32 beta2 = 0.999 is off by 1.3e-8, so 1,000 steps leave v off by up to 1.3e-5, and its root by half of it.
       if (std::is_same_v<Real, double> || want[i].v > 1e-33L)
-        run.measure(relative_error(state.v[i], want[i].v), tolerance_of<Real>(2e-5), at);
+        run.relative(state.v[i], want[i].v, tolerance_of<Real>(2e-5), at);
     }
   }
 }
@@ -1066,8 +1062,8 @@ void counters(CaseRun& run) {
       const auto correction = [&](double beta) {
         return beta == 0 ? 1.0L : -std::expm1(t * std::log(long_double(beta)));
       };
-      run.measure(relative_error(rule.step_size, 5e-4 / correction(beta1)), 1e-12, "step size");
-      run.measure(relative_error(rule.root_scale, 1 / std::sqrt(correction(beta2))), 1e-12, "root scale");
+      run.relative(rule.step_size, 5e-4 / correction(beta1), 1e-12, "step size");
+      run.relative(rule.root_scale, 1 / std::sqrt(correction(beta2)), 1e-12, "root scale");
       run.expect(power(beta1) < 1 && std::isfinite(rule.step_size) && std::isfinite(rule.root_scale), "finite");
     }
   }
@@ -1104,7 +1100,7 @@ void counters(CaseRun& run) {
   state.v[0] = 0.0625f;
   state.dense(adam_step({}, 5e-4, std::int64_t{1} << 31));
   const long double m = 0.9L * 0.25L + 0.1L * 0.5L, v = 0.999L * 0.0625L + 0.001L * 0.25L;
-  run.measure(relative_error(state.value[0], -5e-4L * m / (std::sqrt(v) + 1e-8L)), 1e-6, "step after 2^31 steps");
+  run.relative(state.value[0], -5e-4L * m / (std::sqrt(v) + 1e-8L), 1e-6, "step after 2^31 steps");
 }
 
 // Cases E05, E06 and E08: what a training step does with gradients that are no numbers, huge, or zero.

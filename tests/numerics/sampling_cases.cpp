@@ -108,8 +108,7 @@ void measure_inverse(CaseRun& run, const RayBench<Real>& bench, const InverseCdf
     const double u = u_of(bench.ctx, j, n), got = static_cast<double>(bench.t[j]);
     // The CDF is a sum of doubles: in a cell of little mass its rounding is many metres.
     const double rounding = 64 * 0x1p-53 * truth.slope(long_double(u));
-    run.measure(std::abs(got - static_cast<double>(truth.at(long_double(u)))),
-                tolerance_of<Real>(1e-6) * (far_m - near_m) + rounding, "place");
+    run.near(got, truth.at(long_double(u)), tolerance_of<Real>(1e-6) * (far_m - near_m) + rounding, "place");
     run.expect(got >= near_m && got <= far_m, "a sample lies between near and far");
   }
 }
@@ -122,8 +121,7 @@ IN_BOTH_PRECISIONS(zero_weights) {
     const auto even = importance<Real>(run, fresh_only(64), 1, 5, *earlier);
     run.expect(even->t.size() == 64, "64 samples");
     for (std::size_t j = 0; j < even->t.size(); ++j)
-      run.measure(std::abs(static_cast<double>(even->t[j]) - (1 + 4 * (static_cast<double>(j) + 0.5) / 64)),
-                  tolerance_of<Real>(1e-6), "place");
+      run.near(even->t[j], 1 + 4 * (static_cast<double>(j) + 0.5) / 64, tolerance_of<Real>(1e-6), "place");
     const auto random = importance<Real>(run, fresh_only(1000), 1, 5, *earlier, 3);
     double distance = 0;  // Kolmogorov-Smirnov
     for (std::size_t j = 0; j < random->t.size(); ++j) {
@@ -167,7 +165,7 @@ IN_BOTH_PRECISIONS(end_spikes) {
     measure_inverse(run, *bench, truth, 0.1, 0.3);
     int front = 0;
     for (const Real t : bench->t) front += static_cast<double>(t) < 0.2 ? 1 : 0;
-    run.measure(std::abs(front - 64), 1, "samples in the first half");
+    run.near(front, 64, 1, "samples in the first half");
   }
 }
 
@@ -205,7 +203,7 @@ void u_edges(CaseRun& run) {
             const double t = cell.point(u);
             run.expect(t >= cell.begin && t <= cell.end, "a place lies inside its cell");
           }
-          if (mass > 0) run.measure(std::abs(cell.point(below) - begin), 0, "u at the lower border");
+          if (mass > 0) run.near(cell.point(below), begin, 0, "u at the lower border");
         }
       }
     }
@@ -213,7 +211,7 @@ void u_edges(CaseRun& run) {
   CdfWalk cell{.below = 0.5, .mass = 0.25, .begin = 2, .end = 3};
   for (int i = 0; i <= 100; ++i) {
     const double u = 0.5 + 0.25 * i / 100;
-    run.measure(std::abs(cell.point(u) - (2 + static_cast<double>(i) / 100)), 1e-15, "place in a cell");
+    run.near(cell.point(u), 2 + static_cast<double>(i) / 100, 1e-15, "place in a cell");
   }
 }
 
@@ -226,7 +224,7 @@ IN_BOTH_PRECISIONS(cdf_end) {
     for (auto& w : weights) w = static_cast<Real>(kind == 0 ? 0.1 : kind == 1 ? random.uniform() : 1e-30);
     const Earlier<Real> earlier(bin_middles<Real>(0, 1, kBins), weights);
     const InverseCdf<Real> truth(earlier, 0, 1, 1e-3);
-    run.measure(std::abs(truth.cdf.back() - 1), 1e-15, "the reference ends at 1");
+    run.near(truth.cdf.back(), 1, 1e-15, "the reference ends at 1");
     for (const std::int64_t step : {-1, 0, 1, 2}) {
       const auto bench = importance<Real>(run, fresh_only(2 * kBins), 0, 1, earlier, step);
       measure_inverse(run, *bench, truth, 0, 1);
@@ -262,7 +260,7 @@ IN_BOTH_PRECISIONS(ties) {
         covered += static_cast<double>(d);
       }
       const double from = rule == "paper" ? static_cast<double>(both->t[0]) : 0.5;
-      run.measure(std::abs(covered - (4 - from)), tolerance_of<Real>(1e-6), "intervals cover the ray");
+      run.near(covered, 4 - from, tolerance_of<Real>(1e-6), "intervals cover the ray");
       RayBuffers<Real> rays = both->buffers();
       render(rays, [](double) { return std::pair(3.0, 1.0); });
       rays.g_color = {1, 1, 1};
@@ -277,8 +275,8 @@ IN_BOTH_PRECISIONS(ties) {
         run.measure(std::abs(rays.d_sigma[k]), 0, "its gradient");
       }
       run.expect(none >= at_two - 2, "ties have intervals without length");
-      run.measure(relative_error(rays.opacity[0], -std::expm1(-3 * long_double(covered))), tolerance_of<Real>(2e-6),
-                  "opacity of the union");
+      run.relative(rays.opacity[0], -std::expm1(-3 * long_double(covered)), tolerance_of<Real>(2e-6),
+                   "opacity of the union");
     }
   }
   run.note("instruction set " + std::string(isa_name(isa())) + "; the tests run each in turn");
@@ -455,15 +453,14 @@ IN_BOTH_PRECISIONS(stall) {
                  "no fewer than it needs, or half the most");
       double covered = 0;
       for (const Real d : bench.delta) covered += static_cast<double>(d);
-      run.measure(std::abs(covered / (end - begin) - 1), 1e-9 + 4 * kUlp * end / (end - begin),
-                  "intervals cover the ray");
+      run.near(covered / (end - begin), 1, 1e-9 + 4 * kUlp * end / (end - begin), "intervals cover the ray");
       const long double step = (long_double(end) - long_double(begin)) / long_double(n);
       const double jitter =
           training ? static_cast<double>(uniform01(bench.ctx.random("sampler/occupancy_grid"), 0)) : 0.5;
       for (std::int64_t i = 0; i < n; ++i) {
         const long double place = long_double(begin) + (long_double(i) + long_double(jitter)) * step;
         const auto t = long_double(bench.t[i]);
-        run.measure(static_cast<double>(std::abs(t - place)), 4 * kUlp * end, "place");
+        run.near(t, place, 4 * kUlp * end, "place");
         run.expect(i == 0 || bench.t[i] >= bench.t[i - 1], "places ascend");
       }
       if (static_cast<double>(n) < wanted)
@@ -477,7 +474,7 @@ IN_BOTH_PRECISIONS(stall) {
     const std::size_t r = i / 1024;
     const double near_m = even.near_far[2 * r], length = even.near_far[2 * r + 1] - near_m;
     const double place = near_m + length * (static_cast<double>(i % 1024) + 0.5) / 1024;
-    run.measure(std::abs(static_cast<double>(even.t[i]) - place), kUlp * (near_m + length), "place on a long ray");
+    run.near(even.t[i], place, kUlp * (near_m + length), "place on a long ray");
     run.expect(even.delta[i] > 0 || std::is_same_v<Real, float>, "intervals have length");
   }
   run.note("a ray that needs more than max_samples takes longer steps over its whole length: its intervals say so");
@@ -536,7 +533,7 @@ IN_BOTH_PRECISIONS(empty_batch) {
     rays->forward();
     rays->backward();
   }
-  run.measure(std::abs(static_cast<double>(no_samples.color[2]) - 1), 0, "a ray without samples shows the background");
+  run.near(no_samples.color[2], 1, 0, "a ray without samples shows the background");
   run.measure(std::abs(no_samples.opacity[1]), 0, "its opacity");
   Real nothing = 0;
   const float no_target = 0;
@@ -560,7 +557,7 @@ IN_BOTH_PRECISIONS(empty_batch) {
     for (const double loss : {none.total, none.color, none.semantic, none.mse}) run.measure(loss, 0, "loss of no rays");
     run.measure(largest_gradient(), 0, "its gradient");
     const StepLosses dark = model->lanes().gradients(1, Batch(20, 1, 1).view());
-    run.measure(std::abs(dark.color - 0.0625), 1e-15, "loss of rays that see the background alone");
+    run.near(dark.color, 0.0625, 1e-15, "loss of rays that see the background alone");
     run.measure(std::abs(dark.semantic), 0, "semantic loss without labels");
     run.measure(largest_gradient(), 0, "gradient of rays without samples");
     run.expect(dark.samples == 0, "rays without samples have none");
@@ -577,7 +574,7 @@ IN_BOTH_PRECISIONS(empty_batch) {
     job.color = {color.data(), 3, 3};
     job.opacity = {opacity.data(), 3, 1};
     model->executor().render(job);
-    for (const Real c : color) run.measure(std::abs(static_cast<double>(c) - 0.5), 0, "rendered background");
+    for (const Real c : color) run.near(c, 0.5, 0, "rendered background");
     for (const Real o : opacity) run.measure(std::abs(o), 0, "rendered opacity");
   }
 }
