@@ -201,6 +201,12 @@ inline std::vector<float> random_floats(std::int64_t count, std::uint64_t seed, 
 
 /// For an oracle in float64 of the same numbers.
 inline std::vector<double> widen(const std::vector<float>& values) { return {values.begin(), values.end()}; }
+template <class T>
+std::vector<double> widen(const DeviceMatrix<T>& matrix) {
+  std::vector<double> wide;
+  for (const T& value : matrix.read()) wide.push_back(static_cast<double>(static_cast<float>(value)));
+  return wide;
+}
 
 template <class T>
 View<T> host_view(std::vector<T>& values, std::int32_t cols) {
@@ -315,18 +321,25 @@ class DeviceField {
 };
 
 /// floor: what sums of terms are like whose total may cancel (testkit/compare.h).
-inline std::string near(const DeviceMatrix<float>& got, View<const double> want, double tolerance,
-                        double floor = 1e-30) {
-  const std::vector<float> values = got.read();
-  return testkit::compare<float, double>(host_view(values, want.cols), want, tolerance, floor);
+template <class T>
+std::string near(const DeviceMatrix<T>& got, View<const double> want, double tolerance, double floor = 1e-30) {
+  const std::vector<double> values = widen(got);
+  return testkit::compare<double, double>(host_view(values, want.cols), want, tolerance, floor);
+}
+template <class T>
+std::string near(const DeviceMatrix<T>& got, const std::vector<double>& want, double tolerance, double floor = 1e-30) {
+  return near(got, host_view(want, got.view().cols), tolerance, floor);
 }
 inline std::string near_norm(const DeviceMatrix<float>& got, View<const double> want, double tolerance) {
-  const std::vector<float> values = got.read();
-  return testkit::compare_norms<float, double>(host_view(values, want.cols), want, tolerance);
+  const std::vector<double> values = widen(got);
+  return testkit::compare_norms<double, double>(host_view(values, want.cols), want, tolerance);
 }
-
+inline std::string near_norm(const DeviceMatrix<float>& got, View<const float> want, double tolerance) {
+  const std::vector<float> values = got.read();
+  return testkit::compare_norms<float, float>(host_view(values, want.cols), want, tolerance);
+}
 inline std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
-  const std::vector<double> values = widen(want.read());
+  const std::vector<double> values = widen(want);
   return near_norm(got, host_view(values, want.view().cols), tolerance);
 }
 

@@ -5,7 +5,6 @@
 #include "core/error.h"
 #include "cuda/kernels/kernels.h"
 #include "plugin/encoder.h"
-#include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/encoder_box.h"
 
@@ -55,15 +54,9 @@ inline void expect_twins(const EncoderTwins& twins, const std::vector<double>& x
   const DeviceMatrix<float> dx(rows, traits.in_dims, traits.in_dims + strides.x);
   device.forward(ctx, {}, x_device.read_only(), y.view());
   device.backward(ctx, {}, x_device.read_only(), dy_device.read_only(), dx.view());
-  const std::vector<float> y32 = y.read(), dx32 = dx.read();
-  EXPECT_EQ(
-      testkit::compare(host_view(y32, traits.out_dims), host_view(std::as_const(y64), traits.out_dims), tolerance, 1),
-      "");
-  EXPECT_EQ(
-      testkit::compare(host_view(dx32, traits.in_dims), host_view(std::as_const(dx64), traits.in_dims), dx_tolerance),
-      "");
-  EXPECT_EQ(y.surroundings(), "");
-  EXPECT_EQ(dx.surroundings(), "");
+  EXPECT_EQ(near(y, y64, tolerance, 1), "");
+  EXPECT_EQ(near(dx, dx64, dx_tolerance), "");
+  EXPECT_EQ(y.surroundings() + dx.surroundings(), "");
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 

@@ -42,6 +42,16 @@ struct Network {
 
 const NerfMlpParams kSmall{4, 12, 2, 9};
 
+/// With every saving, in bf16, as the fused kernels take it.
+Network in_bf16(const NerfMlpParams& params = {}, std::int32_t position_dims = 63, std::int32_t direction_dims = 27) {
+  return {params, position_dims, direction_dims, true, true, Precision::bf16};
+}
+
+std::string text_of(const Wanted& wanted) {
+  return ", sigma " + std::to_string(wanted.sigma) + ", rgb " + std::to_string(wanted.rgb) + ", feature " +
+         std::to_string(wanted.feature);
+}
+
 /// A float64 network on the CPU with its inputs, and the same on the device.
 struct Pair {
   Pair(const Network& network, std::int64_t samples, std::int32_t padding = 0)
@@ -118,8 +128,7 @@ TEST_F(CudaNerfMlp, OutputsAndGradientsThatAreAbsentChangeNoOther) {
       for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true},
                                   Wanted{true, true, false}, Wanted{false, false, false}}) {
         const Network network{params, 63, 27, true, true, precision};
-        SCOPED_TRACE(network.text() + ", sigma " + std::to_string(wanted.sigma) + ", rgb " +
-                     std::to_string(wanted.rgb) + ", feature " + std::to_string(wanted.feature));
+        SCOPED_TRACE(network.text() + text_of(wanted));
         Pair pair(network, 130);
         pair.bench.forward();
         pair.device.forward(wanted, false);
@@ -136,7 +145,6 @@ TEST_F(CudaNerfMlp, OutputsAndGradientsThatAreAbsentChangeNoOther) {
 // The big network through its fused kernels, against the CPU's and against the layers one by one.
 
 using testing::DeviceMatrix;
-using testing::host_view;
 
 const KernelTables& layer_tables() {
   static const KernelTables tables = [] {
@@ -147,39 +155,26 @@ const KernelTables& layer_tables() {
   return tables;
 }
 
-FieldBuild build_of(Device device, std::int32_t position_dims, std::int32_t direction_dims) {
-  return FieldBuild{.device = device,
-                    .position_dims = position_dims,
-                    .direction_dims = direction_dims,
-                    .precision = device == Device::cpu ? Precision::fp32 : Precision::bf16};
-}
-
 /// The fused kernels and the layers one by one, from the same inputs.
-void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims, std::int32_t direction_dims,
-                         std::int64_t samples, const Wanted& wanted = {}, std::int32_t padding = 0) {
-  SCOPED_TRACE(std::to_string(samples) + " samples, depth " + std::to_string(params.depth) + ", skip " +
-               std::to_string(params.skip_at) + ", position " + std::to_string(position_dims) + ", direction " +
-               std::to_string(direction_dims) + ", wanted " + std::to_string(wanted.sigma) +
-               std::to_string(wanted.rgb) + std::to_string(wanted.feature));
-  const NerfMlp<double> cpu(params, build_of(Device::cpu, position_dims, direction_dims), all_kernels());
-  FieldBench<double> bench(cpu, build_of(Device::cpu, position_dims, direction_dims), samples, 0, {});
-  const NerfMlp<float> gpu(params, build_of(Device::cuda, position_dims, direction_dims), all_kernels());
-  const DeviceField fused(gpu, bench, padding);
-  fused.derive();
-  fused.forward();
-  fused.backward(wanted);
-  const NerfMlp<float> layered(params, build_of(Device::cuda, position_dims, direction_dims), layer_tables());
-  const DeviceField layers(layered, bench, padding);
+void expect_same_network(const Network& network, std::int64_t samples, const Wanted& wanted = {},
+                         std::int32_t padding = 0) {
+  SCOPED_TRACE(network.text() + ", " + std::to_string(samples) + " samples" + text_of(wanted));
+  Pair pair(network, samples, padding);
+  const DeviceField& fused = pair.device;
+  const NerfMlp<float> layered(network.params, network.build(Device::cuda), layer_tables());
+  const DeviceField layers(layered, pair.bench, padding);
   layers.derive();
-  layers.forward();
-  layers.backward(wanted);
+  for (const DeviceField* one : {&fused, &layers}) {
+    one->forward();
+    one->backward(wanted);
+  }
   // A unit within rounding of zero may fall on either side of its ReLU (testkit/laws.h), in either of the two.
   constexpr double kOutput = 0.02, kGradient = 0.25;
   EXPECT_EQ(near_norm(*fused.sigma, *layers.sigma, kOutput), "") << "sigma";
   EXPECT_EQ(near_norm(*fused.rgb, *layers.rgb, kOutput), "") << "rgb";
   EXPECT_EQ(near_norm(*fused.feature, *layers.feature, kOutput), "") << "feature";
   EXPECT_EQ(near_norm(*fused.d_position, *layers.d_position, kGradient), "") << "d_position";
-  testing::expect_gradients_near(fused, bench, kGradient,
+  testing::expect_gradients_near(fused, pair.bench, kGradient,
                                  [&](std::size_t i) -> const DeviceMatrix<float>& { return *layers.grads[i]; });
   for (const auto* m : {&fused.sigma, &fused.rgb, &fused.feature, &fused.d_position})
     EXPECT_EQ((*m)->surroundings(), "");
@@ -187,24 +182,21 @@ void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims
 
 TEST(CudaNerfMlpFused, IsTheNetworkOfTheLayersOneByOne) {
   SEMFIELD_NEEDS_FUSED();
-  for (const std::int64_t samples : {1, 63, 257, 40000}) expect_same_network({}, 63, 27, samples);
-  expect_same_network({}, 60, 0, 257);
-  expect_same_network({2, 256, 0, 128}, 64, 16, 130, {}, 3);
-  expect_same_network({3, 256, 1, 128}, 7, 3, 130);
-  expect_same_network({15, 256, 14, 128}, 63, 27, 130);
+  for (const std::int64_t samples : {1, 63, 257, 40000}) expect_same_network(in_bf16(), samples);
+  expect_same_network(in_bf16({}, 60, 0), 257);
+  expect_same_network(in_bf16({2, 256, 0, 128}, 64, 16), 130, {}, 3);
+  expect_same_network(in_bf16({3, 256, 1, 128}, 7, 3), 130);
+  expect_same_network(in_bf16({15, 256, 14, 128}), 130);
   for (const Wanted& wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true}})
-    expect_same_network({}, 63, 27, 130, wanted);
+    expect_same_network(in_bf16(), 130, wanted);
 }
 
 TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
   SEMFIELD_NEEDS_FUSED();
-  const NerfMlp<double> cpu({}, build_of(Device::cpu, 63, 27), all_kernels());
-  FieldBench<double> bench(cpu, build_of(Device::cpu, 63, 27), 1025, 0, {});
-  bench.forward();
-  bench.backward({}, false);
-  const NerfMlp<float> gpu({}, build_of(Device::cuda, 63, 27), all_kernels());
-  const DeviceField device(gpu, bench);
-  device.derive();
+  Pair pair(in_bf16(), 1025);
+  pair.bench.forward();
+  pair.bench.backward({}, false);
+  const DeviceField& device = pair.device;
   std::vector<float> first, sigma, rgb;
   for (int run = 0; run < 3; ++run) {
     for (const auto& grad : device.grads)
@@ -214,8 +206,8 @@ TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
     if (run == 0) first = device.all_grads(), sigma = device.sigma->read(), rgb = device.rgb->read();
     EXPECT_EQ(device.all_grads(), first) << "run " << run;
   }
-  testing::expect_outputs_near(device, bench, 0.02);
-  testing::expect_gradients_near(device, bench, 0.25);
+  pair.expect_outputs();
+  pair.expect_gradients(false);
   // Rows are the same alone as in the batch, and with nothing saved.
   device.forward({}, false);
   EXPECT_EQ(device.sigma->read(), sigma);
@@ -225,7 +217,7 @@ TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
   in.ray_of_sample = in.ray_of_sample.row_range(200, 300);
   const DeviceMatrix<float> few(300, 1);
   FieldOut<float> out{.sigma = few.view()};
-  gpu.forward(device.ctx, device.tensors(), in, out, {});
+  pair.gpu.forward(device.ctx, device.tensors(), in, out, {});
   EXPECT_EQ(few.read(), std::vector<float>(sigma.begin() + 200, sigma.begin() + 500));
 }
 
@@ -335,7 +327,7 @@ struct Small {
 };
 
 std::string compare(const std::vector<double>& got, const std::vector<double>& want, int cols, double tolerance) {
-  return testkit::compare<double, double>(host_view(got, cols), host_view(want, cols), tolerance);
+  return testkit::compare<double, double>(testing::host_view(got, cols), testing::host_view(want, cols), tolerance);
 }
 
 TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
@@ -360,18 +352,15 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
     below = net.layer(net.trunk, i);
     EXPECT_EQ(compare(below, exact, 256, 4e-3), "") << "layer " << i;
   }
-  const std::vector<double> feature = testing::widen(net.feature.read()), sigma = testing::widen(net.sigma.read());
-  EXPECT_EQ(compare(feature, exact, 256, 1e-5), "") << "feature";
-  std::vector<double> in_rows;
-  for (const Bf16 v : net.rounded_feature.read()) in_rows.push_back(__bfloat162float(v));
-  EXPECT_EQ(in_rows, below);
+  EXPECT_EQ(near(net.feature, exact, 1e-5), "") << "feature";
+  EXPECT_EQ(testing::widen(net.rounded_feature), below);
   EXPECT_EQ(net.rounded_feature.surroundings(), "");
   std::vector<double> want;
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     want.push_back(net.bd[0]);
     for (int c = 0; c < 256; ++c) want.back() += exact[m * 256 + c] * net.wd[c];
   }
-  EXPECT_EQ(compare(sigma, want, 1, 1e-5), "") << "sigma";
+  EXPECT_EQ(near(net.sigma, want, 1e-5), "") << "sigma";
 
   std::vector<double> view, color;
   for (std::int64_t m = 0; m < net.kRows; ++m) {
@@ -388,15 +377,14 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
       color.push_back(1 / (1 + std::exp(-logit)));
     }
   }
-  EXPECT_EQ(compare(testing::widen(net.rgb.read()), color, 3, 1e-5), "") << "colour";
+  EXPECT_EQ(near(net.rgb, color, 1e-5), "") << "colour";
 
-  std::vector<double> semantic, in_memory;
+  std::vector<double> semantic;
   for (std::int64_t m = 0; m < net.kSemantic; ++m) semantic.insert(semantic.end(), net.bs.begin(), net.bs.end());
   below.resize(static_cast<std::size_t>(net.kSemantic * 256));
   add_product(below, 256, net.ws, 128, 0, false, semantic);
   for (double& v : semantic) v = std::max(v, 0.0);
-  for (const Bf16 v : net.semantic.read()) in_memory.push_back(__bfloat162float(v));
-  EXPECT_EQ(compare(in_memory, semantic, 128, 4e-3), "") << "semantic layer";
+  EXPECT_EQ(near(net.semantic, semantic, 4e-3), "") << "semantic layer";
   EXPECT_EQ(net.semantic.surroundings(), "");
 }
 
@@ -467,7 +455,7 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     for (int n = 0; n < 128; ++n) sums[net.ray[m] * 128 + n] += dv[m * 128 + n];
   }
-  EXPECT_EQ(compare(testing::widen(d_term.read()), sums, 128, 1e-5), "") << "rays";
+  EXPECT_EQ(near(d_term, sums, 1e-5), "") << "rays";
 
   const DeviceMatrix<float> d_wc(std::vector<float>(128 * 3, 1.0F), 3), d_bc(std::vector<float>(3, 1.0F), 3);
   cuda::fused::HeadGradient color;
@@ -482,8 +470,8 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
       for (int n = 0; n < 128; ++n) weight[n * 3 + c] += g * hidden[m * 128 + n];
     }
   }
-  EXPECT_EQ(compare(testing::widen(d_wc.read()), weight, 3, 1e-5), "") << "colour weight";
-  EXPECT_EQ(compare(testing::widen(d_bc.read()), bias, 3, 1e-5), "") << "colour bias";
+  EXPECT_EQ(near(d_wc, weight, 1e-5), "") << "colour weight";
+  EXPECT_EQ(near(d_bc, bias, 1e-5), "") << "colour bias";
 
   const DeviceMatrix<float> d_wd(std::vector<float>(256, 1.0F), 1), d_bd(std::vector<float>(1, 1.0F), 1);
   cuda::fused::HeadGradient density;
@@ -497,8 +485,8 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
     bias[0] += g_sigma[m];
     for (int n = 0; n < 256; ++n) weight[n] += double{g_sigma[m]} * h[m * 256 + n];
   }
-  EXPECT_EQ(compare(testing::widen(d_wd.read()), weight, 1, 1e-5), "") << "density weight";
-  EXPECT_EQ(compare(testing::widen(d_bd.read()), bias, 1, 1e-5), "") << "density bias";
+  EXPECT_EQ(near(d_wd, weight, 1e-5), "") << "density weight";
+  EXPECT_EQ(near(d_bd, bias, 1e-5), "") << "density bias";
 }
 
 TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
@@ -513,9 +501,8 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
       for (float& v : values) v = std::round(v);
       return values;
     };
-    const std::vector<float> av = whole(rows * 256, 1), pv = whole(rows * 64, 2), bv = whole(rows * 256, 3);
-    const std::vector<float> vv = whole(rows * 128, 4);
-    const DeviceMatrix<Bf16> a(av, 256), p(pv, 64), b(bv, 256), v(vv, 128);
+    const DeviceMatrix<Bf16> a(whole(rows * 256, 1), 256), p(whole(rows * 64, 2), 64), b(whole(rows * 256, 3), 256);
+    const DeviceMatrix<Bf16> v(whole(rows * 128, 4), 128);
     const DeviceMatrix<float> ab(std::vector<float>(256 * 256, 1.0F), 256), pb(std::vector<float>(63 * 256, 2.0F), 256);
     const DeviceMatrix<float> avw(std::vector<float>(256 * 128, 3.0F), 128), b_sum(std::vector<float>(256), 256);
     const DeviceMatrix<float> p_sum(std::vector<float>(256), 256), v_sum(std::vector<float>(128), 128);
@@ -526,13 +513,8 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
     call.all[1] = {p.data(), b.data(), 64, 256, pb.view(), p_sum.view(), blocks};
     call.all[2] = {a.data(), v.data(), 256, 128, avw.view(), v_sum.view(), fewer};
     cuda::fused::weight_gradients(call, launch.arena());
-    const auto bf16 = [](const std::vector<float>& values) {
-      std::vector<Bf16> result;
-      for (const float x : values) result.push_back(Bf16(x));
-      return result;
-    };
-    const std::vector<double> ar = rows_of(bf16(av), rows, 256), pr = rows_of(bf16(pv), rows, 64);
-    const std::vector<double> br = rows_of(bf16(bv), rows, 256), vr = rows_of(bf16(vv), rows, 128);
+    const std::vector<double> ar = rows_of(a.read(), rows, 256), pr = rows_of(p.read(), rows, 64);
+    const std::vector<double> br = rows_of(b.read(), rows, 256), vr = rows_of(v.read(), rows, 128);
     const auto want = [&](const std::vector<double>& x, int k, int taken, const std::vector<double>& y, int n,
                           double start, std::int64_t count) {
       std::vector<double> sum(static_cast<std::size_t>(taken * n), start);
@@ -543,13 +525,13 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
       }
       return sum;
     };
-    EXPECT_EQ(compare(testing::widen(ab.read()), want(ar, 256, 256, br, 256, 1, rows), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(pb.read()), want(pr, 64, 63, br, 256, 2, rows), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(avw.read()), want(ar, 256, 256, vr, 128, 3, fewer * 64), 128, 0), "");
+    EXPECT_EQ(near(ab, want(ar, 256, 256, br, 256, 1, rows), 0), "");
+    EXPECT_EQ(near(pb, want(pr, 64, 63, br, 256, 2, rows), 0), "");
+    EXPECT_EQ(near(avw, want(ar, 256, 256, vr, 128, 3, fewer * 64), 0), "");
     const std::vector<double> ones(static_cast<std::size_t>(rows), 1);
-    EXPECT_EQ(compare(testing::widen(b_sum.read()), want(ones, 1, 1, br, 256, 0, rows), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(p_sum.read()), want(ones, 1, 1, br, 256, 0, rows), 256, 0), "");
-    EXPECT_EQ(compare(testing::widen(v_sum.read()), want(ones, 1, 1, vr, 128, 0, fewer * 64), 128, 0), "");
+    EXPECT_EQ(near(b_sum, want(ones, 1, 1, br, 256, 0, rows), 0), "");
+    EXPECT_EQ(near(p_sum, want(ones, 1, 1, br, 256, 0, rows), 0), "");
+    EXPECT_EQ(near(v_sum, want(ones, 1, 1, vr, 128, 0, fewer * 64), 0), "");
     for (const DeviceMatrix<float>* m : {&ab, &pb, &avw, &b_sum, &p_sum, &v_sum}) EXPECT_EQ(m->surroundings(), "");
   }
 }

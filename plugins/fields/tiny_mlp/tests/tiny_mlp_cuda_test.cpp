@@ -1,4 +1,5 @@
-// The comparison of two devices' results.
+// The small network on the device, whole and asked for its feature alone: against the CPU's in float64 for every switch
+// and width, and in bf16; and what a device adds: unused rows, and the same bits in every run.
 
 #include <cuda_bf16.h>
 
@@ -8,21 +9,8 @@
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "tests/cuda/device_fixture.h"
 
-namespace semfield::testing {
-
-inline std::string near_norm(const DeviceMatrix<float>& got, View<const float> want, double tolerance) {
-  std::vector<double> values;
-  for (std::int64_t r = 0; r < want.rows; ++r) values.insert(values.end(), want.row(r), want.row(r) + want.cols);
-  return near_norm(got, host_view(values, want.cols), tolerance);
-}
-
-}  // namespace semfield::testing
-
 namespace semfield {
 namespace {
-
-// The small network on the device, whole and asked for its feature alone: against the CPU's in float64 for every switch
-// and width, and in bf16; and what a device adds: unused rows, and the same bits in every run.
 
 using testing::all_kernels;
 using testing::DeviceField;
@@ -60,16 +48,6 @@ Network branch(std::int32_t position_dims, int width, int layers) {
   return {TinyMlpParams{.hidden_width = width, .hidden_layers = layers}, position_dims, 0, true, Precision::bf16, true};
 }
 
-struct Held {
-  TinyMlp<float> network;
-};
-/// The network on the device with a float64 bench's inputs and tensors.
-class OnDevice : private Held, public DeviceField {
- public:
-  OnDevice(const Network& shape, const KernelTables& tables, FieldBench<double>& bench, std::int32_t padding)
-      : Held{TinyMlp<float>(shape.params, shape.build(Device::cuda), tables)}, DeviceField(network, bench, padding) {}
-};
-
 /// A float64 network on the CPU with its inputs.
 struct Oracle {
   Oracle(const Network& network, std::int64_t samples)
@@ -77,6 +55,17 @@ struct Oracle {
         bench(field, network.build(Device::cpu), samples, 0, {}) {}
   TinyMlp<double> field;
   FieldBench<double> bench;
+};
+
+struct Held {
+  TinyMlp<float> network;
+};
+/// The network on the device with an oracle's inputs and tensors.
+class OnDevice : private Held, public DeviceField {
+ public:
+  OnDevice(const Network& shape, Oracle& oracle, std::int32_t padding = 0)
+      : Held{TinyMlp<float>(shape.params, shape.build(Device::cuda), all_kernels())},
+        DeviceField(network, oracle.bench, padding) {}
 };
 
 struct Tolerances {
@@ -104,7 +93,7 @@ void expect_like_the_oracle(const Network& network, std::int64_t samples, std::i
   Oracle oracle(network, samples);
   oracle.bench.forward(network.outputs());
   oracle.bench.backward(gradients, with_d_position);
-  const OnDevice device(network, all_kernels(), oracle.bench, padding);
+  const OnDevice device(network, oracle, padding);
   device.forward(network.outputs());
   device.backward(gradients, with_d_position);
   expect_oracle(device, oracle.bench, tolerances(network.precision), network.outputs(), with_d_position);
@@ -163,7 +152,7 @@ using CudaTinyMlpFused = testing::DeviceTest;
 TEST_F(CudaTinyMlpFused, RowsDoNotDependOnTheirBatch) {
   const Network network{{}, 32, 16, true, Precision::bf16};
   Oracle oracle(network, 333);
-  const OnDevice whole(network, all_kernels(), oracle.bench, 0), split(network, all_kernels(), oracle.bench, 0);
+  const OnDevice whole(network, oracle), split(network, oracle);
   whole.forward();
   whole.backward();
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 101}, {101, 232}}) {
@@ -185,7 +174,7 @@ TEST(CudaTinyMlpBits, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
   for (const Network& network : {Network{}, Network{{}, 32, 16, true, Precision::bf16}, branch(115, 128, 3)}) {
     SCOPED_TRACE(network.text());
     Oracle oracle(network, 50001);
-    const OnDevice once(network, all_kernels(), oracle.bench, 0), twice(network, all_kernels(), oracle.bench, 0);
+    const OnDevice once(network, oracle), twice(network, oracle);
     for (const OnDevice* device : {&once, &twice}) {
       device->forward(network.outputs());
       device->backward(network.outputs());
@@ -208,7 +197,7 @@ TEST_F(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
     for (const std::int64_t live : {0, 1, 64, 200, 333}) {
       SCOPED_TRACE(network.text() + ", live " + std::to_string(live));
       Oracle oracle(network, 333);
-      OnDevice some(network, all_kernels(), oracle.bench, 0), all(network, all_kernels(), oracle.bench, 0);
+      OnDevice some(network, oracle), all(network, oracle);
       const DeviceMatrix<std::int32_t> count(std::vector<std::int32_t>{static_cast<std::int32_t>(live)}, 1);
       some.launch.set_live_rows(count.data());
       some.forward(network.outputs());
@@ -254,7 +243,7 @@ TEST_F(CudaTinyMlpFused, AgreesWithTheCpuInBf16) {
     // does not round directions.
     const double weight = network.feature_only ? 0.05 : 0.1, bias = network.feature_only ? 0.05 : 0.15;
     Oracle oracle(network, 4097);
-    const OnDevice fused(network, all_kernels(), oracle.bench, 0);
+    const OnDevice fused(network, oracle);
     fused.forward(network.outputs());
     fused.backward(network.outputs());
     FieldBuild rounded = network.build(Device::cpu);
@@ -283,7 +272,7 @@ TEST_F(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   constexpr std::int64_t kRows = 333, kSemanticRows = 250;
   const Network network{{}, 32, 16, true, Precision::bf16};
   Oracle oracle(network, kRows);
-  const OnDevice plain(network, all_kernels(), oracle.bench, 0), sharing(network, all_kernels(), oracle.bench, 0);
+  const OnDevice plain(network, oracle), sharing(network, oracle);
   const std::int32_t width = plain.feature->view().cols;
   std::vector<float> weights = plain.w_feature->read();
   for (std::size_t i = 0; i < weights.size(); ++i) {
@@ -334,7 +323,7 @@ TEST_F(CudaTinyMlpFeature, IsTheCpuNetworkForEveryWidthDepthAndSize) {
 TEST_F(CudaTinyMlpFeature, GivesTheSameWithoutASavedBatchAndWithoutAGradientNothing) {
   const Network network = branch(112, 64, 2);
   Oracle oracle(network, 333);
-  const OnDevice saved(network, all_kernels(), oracle.bench, 0), unsaved(network, all_kernels(), oracle.bench, 0);
+  const OnDevice saved(network, oracle), unsaved(network, oracle);
   saved.forward(network.outputs());
   unsaved.forward(network.outputs(), false);
   EXPECT_EQ(saved.feature->read(), unsaved.feature->read());
