@@ -98,9 +98,7 @@ void expect_same(DeviceLaunch& launch, const Semantic& s, bool is_hard, bool wei
   EXPECT_EQ(got.labelled, want.labelled);
   EXPECT_EQ(got.correct, want.correct);
   const std::vector<float> d_got = d_logits.read();
-  EXPECT_EQ(testkit::compare(testing::host_view(d_got, s.classes), testing::host_view(std::as_const(d_want), s.classes),
-                             1e-6),
-            "");
+  EXPECT_EQ(near(d_logits, d_want, 1e-6), "");
   for (std::size_t i = 0; i < d_got.size(); ++i) ASSERT_TRUE(d_want[i] != 0 || d_got[i] == 0) << i;
   EXPECT_EQ(d_logits.surroundings(), "");
   EXPECT_EQ(run().semantic, got.semantic) << "a second run gave other bits";

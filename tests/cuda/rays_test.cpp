@@ -18,6 +18,8 @@ namespace semfield {
 namespace {
 
 using testing::DeviceMatrix;
+using testing::host_view;
+using testing::random_floats;
 using testing::RayBuffers;
 using testing::TestNumbers;
 
@@ -131,7 +133,7 @@ std::string against(const DeviceMatrix<float>& got, const std::vector<double>& w
   }
   if (want.empty()) return "";
   const std::vector<float> used(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(want.size()));
-  return testkit::compare(testing::host_view(used, cols), testing::host_view(want, cols), tolerance, 1e-6);
+  return testkit::compare(host_view(used, cols), host_view(want, cols), tolerance, 1e-6);
 }
 
 struct Case {
@@ -228,9 +230,7 @@ TEST(CudaCompositor, GradientKeepsItsSignInFogOfAnyDepth) {
       ASSERT_EQ(got[k] > 0, want.d_sigma[k] > 0) << "tau " << tau << ", sample " << k;
       ASSERT_NEAR(got[k], want.d_sigma[k], 1e-3 * std::abs(want.d_sigma[k])) << "tau " << tau << ", sample " << k;
     }
-    EXPECT_EQ(
-        testkit::compare_norms(testing::host_view(got, 1), testing::host_view(std::as_const(want.d_sigma), 1), 1e-5),
-        "");
+    EXPECT_EQ(testkit::compare_norms(host_view(got, 1), host_view(std::as_const(want.d_sigma), 1), 1e-5), "");
   }
 }
 
@@ -318,14 +318,14 @@ struct Batch {
       first.push_back(static_cast<std::int32_t>(ray.size()));
     }
     used = ray.size();
-    t = testing::random_floats(static_cast<std::int64_t>(used), 1, 0.1, 9);
-    delta = testing::random_floats(static_cast<std::int64_t>(used), 2, 0, 1);
+    t = random_floats(static_cast<std::int64_t>(used), 1, 0.1, 9);
+    delta = random_floats(static_cast<std::int64_t>(used), 2, 0, 1);
     const auto all = used + static_cast<std::size_t>(unused);
     ray.resize(all, static_cast<std::int32_t>(std::max<std::int64_t>(0, rays - 1)));
     t.resize(all, 0);
     delta.resize(all, 0);
-    for (const float x : testing::random_floats(3 * rays, 3, -5, 5)) origin.push_back(static_cast<double>(x));
-    for (const float x : testing::random_floats(3 * rays, 4, -1, 1)) direction.push_back(static_cast<double>(x));
+    for (const float x : random_floats(3 * rays, 3, -5, 5)) origin.push_back(static_cast<double>(x));
+    for (const float x : random_floats(3 * rays, 4, -1, 1)) direction.push_back(static_cast<double>(x));
   }
   std::vector<std::int32_t> first, ray;
   std::vector<float> t, delta;
@@ -373,9 +373,8 @@ TEST(CudaLocate, PlacesOfSamplesInFloat64) {
         for (int i = 0; i < 3; ++i) want[3 * m + static_cast<std::size_t>(i)] = place[i];
       }
       // Some units of the last place: the device fuses multiplications and additions.
-      EXPECT_EQ(testkit::compare(testing::host_view(std::as_const(want), 3), testing::host_view(x.read(), 3),
-                                 gap == 0 ? 1e-15 : 4e-15, 1),
-                "")
+      const std::vector<double> got = x.read();
+      EXPECT_EQ(testkit::compare(host_view(got, 3), host_view(std::as_const(want), 3), gap == 0 ? 1e-15 : 4e-15, 1), "")
           << rays;
       EXPECT_EQ(x.surroundings(), "");
     }
@@ -405,10 +404,10 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
   SEMFIELD_ON_DEVICE(launch);
   for (const auto activation : {DensityActivation::relu, DensityActivation::softplus, DensityActivation::trunc_exp}) {
     for (const std::int64_t count : {0, 1, 31, 33, 4097}) {
-      std::vector<float> raw = testing::random_floats(count, 5, -30, 20);
+      std::vector<float> raw = random_floats(count, 5, -30, 20);
       for (std::size_t i = 0; i < raw.size() && i < 6; ++i)
         raw[i] = std::vector<float>{0, -0.F, 1e-30F, -100, 15, 80}[i];
-      const std::vector<float> d_sigma = testing::random_floats(count, 6, -1, 1);
+      const std::vector<float> d_sigma = random_floats(count, 6, -1, 1);
       const DeviceMatrix<float> raw_there(raw, 1, 3), sigma(count, 1, 2), d_there(d_sigma, 1, 2);
       DensityRule rule{.activation = activation, .per_m = 0.375, .bias = -0.25};
       cuda::density_forward(rule, nullptr, raw_there.view(), sigma.view());
@@ -416,10 +415,9 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
       EXPECT_EQ(raw_there.read(), raw);
       std::vector<double> wide = testing::widen(raw);
       std::vector<double> want(raw.size()), slope(raw.size());
-      density_forward<double>({activation}, nullptr, testing::host_view(wide, 1), testing::host_view(want, 1));
+      density_forward<double>({activation}, nullptr, host_view(wide, 1), host_view(want, 1));
       const std::vector<double> wide_d = testing::widen(d_sigma);
-      density_backward<double>({activation}, testing::host_view(wide, 1), testing::host_view(wide_d, 1),
-                               testing::host_view(slope, 1));
+      density_backward<double>({activation}, host_view(wide, 1), host_view(wide_d, 1), host_view(slope, 1));
       for (double& x : want) x *= rule.per_m;
       for (double& x : slope) x *= rule.per_m;
       cuda::density_backward(rule, raw_there.read_only(), d_there.read_only(), d_there.view());  // in place
@@ -458,18 +456,18 @@ TEST(CudaOpacityResolution, AsTheProcessor) {
   for (const FarMode far : {FarMode::open, FarMode::background}) {
     for (const std::int64_t rays : {0, 1, 33, 4097}) {
       Batch host(rays, 11);
-      std::vector<float> weight = testing::random_floats(static_cast<std::int64_t>(host.t.size()), 9, 0, 0.6);
+      std::vector<float> weight = random_floats(static_cast<std::int64_t>(host.t.size()), 9, 0, 0.6);
       for (std::size_t i = 0; i < weight.size(); i += 3) weight[i] = 0.5F;  // equal ones
       const DeviceBatch device(host);
       const DeviceMatrix<float> there(weight, 1, 2);
       const DeviceMatrix<OpacityResolution> result(rays, 1, 3);
       cuda::opacity_resolutions(device.samples, there.read_only(), far, 0.1, result.view());
-      const Samples<float> samples{testing::host_view(host.t, 1), testing::host_view(host.delta, 1),
-                                   testing::host_view(host.ray, 1), testing::host_view(host.first, 1), device.rows};
+      const Samples<float> samples{host_view(host.t, 1), host_view(host.delta, 1), host_view(host.ray, 1),
+                                   host_view(host.first, 1), device.rows};
       const std::vector<OpacityResolution> got = result.read();
       std::int64_t kinds[3] = {};
       for (std::int64_t r = 0; r < rays; ++r) {
-        const auto want = opacity_resolution<float>(samples, testing::host_view(std::as_const(weight), 1), far, r, 0.1);
+        const auto want = opacity_resolution<float>(samples, host_view(std::as_const(weight), 1), far, r, 0.1);
         ASSERT_EQ(got[r], want) << r;
         kinds[static_cast<int>(want)] += 1;
       }
@@ -506,9 +504,6 @@ TEST(CudaGuard, NamesTheFirstRowThatIsNotFinite) {
 }
 
 // Corrections of training cameras on the device against the CPU's.
-
-using testing::host_view;
-using testing::random_floats;
 
 constexpr std::int64_t kRays = 1000, kCameras = 37;
 
@@ -603,8 +598,10 @@ std::vector<std::string> configs() {
   return all;
 }
 
-// Points of three regions along x, and steps that learn them.
+// Points of three regions along x, the rows that a session's network reads there, and steps that learn them.
 struct Lessons {
+  PointNetwork<float>& network;
+  std::int32_t dims;
   std::vector<Vec3d> places;
   std::vector<std::int16_t> logit;
   std::vector<float> rows;
@@ -612,28 +609,25 @@ struct Lessons {
   std::vector<AdamStep> updates;
   static constexpr std::int64_t kBatch = 192;
 
-  explicit Lessons(int steps, int count = 300) {
+  Lessons(const Session& session, int steps)
+      : network(session.pipeline->executor().points()), dims(session.pipeline->passes().back().point_dims()) {
+    constexpr int kCount = 300;
     const RandomAddress random{1, 0, stream_id("cuda_points_test")};
     std::uint64_t n = 0;
     const auto any = [&](double most) { return most * (2 * static_cast<double>(uniform01(random, n++)) - 1); };
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < kCount; ++i) {
       places.push_back({1.3 * (i % 3 - 1) + any(0.4), any(1), any(0.8)});
       logit.push_back(static_cast<std::int16_t>(i % 3 == 2 ? 4 : i % 3));
     }
     for (int step = 0; step < steps; ++step) {
       updates.push_back(adam_step({}, 5e-3, step));
       for (std::int64_t b = 0; b < kBatch; ++b)
-        choice.push_back(static_cast<std::int32_t>(uniform_below(random, 1000000 + choice.size(), count)));
+        choice.push_back(static_cast<std::int32_t>(uniform_below(random, 1000000 + choice.size(), kCount)));
     }
-  }
-  View<const double> positions() const { return {&places.data()->x, std::ssize(places), 3}; }
-  View<float> rows_at(PointNetwork<float>& network, std::int32_t dims) {
     rows.assign(places.size() * static_cast<std::size_t>(dims), -1);
-    const View<float> view(rows.data(), std::ssize(places), dims);
-    network.rows(positions(), view);
-    return view;
+    network.rows({&places.data()->x, std::ssize(places), 3}, {rows.data(), std::ssize(places), dims});
   }
-  void learn(PointNetwork<float>& network, std::int32_t dims) {
+  void learn() {
     PointLessons<float> lessons;
     lessons.rows = {rows.data(), std::ssize(places), dims};
     lessons.logit = logit;
@@ -643,7 +637,7 @@ struct Lessons {
     lessons.weight_decay = 1e-2;
     network.learn(lessons);
   }
-  std::vector<float> logits(PointNetwork<float>& network, std::int32_t dims) const {
+  std::vector<float> logits() const {
     std::vector<float> out(5 * places.size());
     network.logits({rows.data(), std::ssize(places), dims}, {out.data(), std::ssize(places), 5});
     return out;
@@ -670,14 +664,11 @@ TEST_F(CudaPoints, ReadAndLearnWhatTheCpuDoes) {
     SCOPED_TRACE(config);
     const Session cuda = open_text(config + "runtime: {device: cuda}\n", registry);
     const Session cpu = open_text(config + "runtime: {device: cpu}\n", registry);
-    PointNetwork<float>&on_device = cuda.pipeline->executor().points(), &on_cpu = cpu.pipeline->executor().points();
-    const std::int32_t dims = cpu.pipeline->passes().back().point_dims();
-    Lessons a(8), b(8);
-    a.rows_at(on_device, dims), b.rows_at(on_cpu, dims);
+    Lessons a(cuda, 8), b(cpu, 8);
     EXPECT_LT(largest_difference(a.rows, b.rows), 1e-4);
-    EXPECT_LT(largest_difference(a.logits(on_device, dims), b.logits(on_cpu, dims)), 1e-3);
-    a.learn(on_device, dims), b.learn(on_cpu, dims);
-    const std::vector<float> learned = a.logits(on_device, dims), wanted = b.logits(on_cpu, dims);
+    EXPECT_LT(largest_difference(a.logits(), b.logits()), 1e-3);
+    a.learn(), b.learn();
+    const std::vector<float> learned = a.logits(), wanted = b.logits();
     EXPECT_GT(largest_difference(wanted, std::vector<float>(wanted.size(), 0)), 0.1);
     EXPECT_LT(largest_difference(learned, wanted), 0.02);
     // The store has them too, and training goes on.
@@ -710,14 +701,11 @@ TEST_F(CudaPoints, TellRegionsApartAndLeaveTheRestAlone) {
         return out;
       };
       const std::vector<float> before = others();
-      PointNetwork<float>& network = session.pipeline->executor().points();
-      const std::int32_t dims = session.pipeline->passes().back().point_dims();
-      Lessons lessons(200);
-      lessons.rows_at(network, dims);
+      Lessons lessons(session, 200);
       restart_semantics(store);
-      lessons.learn(network, dims);
+      lessons.learn();
       std::size_t right = 0;
-      const std::vector<float> logits = lessons.logits(network, dims);
+      const std::vector<float> logits = lessons.logits();
       for (std::size_t i = 0; i < lessons.logit.size(); ++i) {
         const auto row = logits.begin() + static_cast<std::ptrdiff_t>(5 * i);
         right += std::max_element(row, row + 5) - row == lessons.logit[i] ? 1 : 0;
@@ -736,11 +724,7 @@ TEST_F(CudaPoints, DeterministicLessonsHaveTheSameBits) {
     std::vector<std::uint32_t> bits;
     for (int i = 0; i < 2; ++i) {
       const Session session = open_text(config + "runtime: {device: cuda, deterministic: true}\n", registry);
-      PointNetwork<float>& network = session.pipeline->executor().points();
-      const std::int32_t dims = session.pipeline->passes().back().point_dims();
-      Lessons lessons(40);
-      lessons.rows_at(network, dims);
-      lessons.learn(network, dims);
+      Lessons(session, 40).learn();
       bits.push_back(fingerprint(session.pipeline->store()));
     }
     EXPECT_EQ(bits[0], bits[1]);
@@ -750,32 +734,26 @@ TEST_F(CudaPoints, DeterministicLessonsHaveTheSameBits) {
 // What was kept is put back, for what comes next on the device as well.
 TEST_F(CudaPoints, AreReadAndWritten) {
   const Session session = open_text(branch_config("") + "runtime: {device: cuda}\n", registry);
-  PointNetwork<float>& network = session.pipeline->executor().points();
-  const std::int32_t dims = session.pipeline->passes().back().point_dims();
-  Lessons lessons(20);
-  lessons.rows_at(network, dims);
-  const std::vector<float> first = lessons.logits(network, dims);
-  network.read();
+  Lessons lessons(session, 20);
+  const std::vector<float> first = lessons.logits();
+  lessons.network.read();
   std::vector<std::vector<float>> kept;
   for (const Tensor<float>* t : semantic_tensors(session.pipeline->store()))
     kept.emplace_back(t->value.data(), t->value.data() + t->value.size());
-  lessons.learn(network, dims);
-  EXPECT_NE(lessons.logits(network, dims), first);
+  lessons.learn();
+  EXPECT_NE(lessons.logits(), first);
   std::size_t next = 0;
   for (const Tensor<float>* t : semantic_tensors(session.pipeline->store()))
     std::copy(kept[next].begin(), kept[next].end(), t->value.data()), ++next;
-  network.write();
-  EXPECT_EQ(lessons.logits(network, dims), first);
+  lessons.network.write();
+  EXPECT_EQ(lessons.logits(), first);
 }
 
 TEST_F(CudaPoints, AFaultIsExplainedByTheCpu) {
   const Session session = open_text(branch_config("") + "runtime: {device: cuda}\n", registry);
-  PointNetwork<float>& network = session.pipeline->executor().points();
-  const std::int32_t dims = session.pipeline->passes().back().point_dims();
-  Lessons lessons(3);
-  lessons.rows_at(network, dims);
+  Lessons lessons(session, 3);
   std::fill(lessons.rows.begin(), lessons.rows.end(), std::numeric_limits<float>::quiet_NaN());
-  EXPECT_HAS(error_of([&] { lessons.learn(network, dims); }), "logit of ray");
+  EXPECT_HAS(error_of([&] { lessons.learn(); }), "logit of ray");
 }
 
 }  // namespace

@@ -351,8 +351,8 @@ using testing::DeviceMatrix;
 
 // A deterministic run.
 struct Subject : TestRun {
-  Subject(const std::string& yaml, const std::string& device, Registry& registry)
-      : TestRun(yaml + "runtime: {device: " + device + ", deterministic: true}\n", registry) {}
+  explicit Subject(const std::string& device)
+      : TestRun(hash_config("runtime: {device: " + device + ", deterministic: true}\n")) {}
 };
 
 int devices() {
@@ -400,17 +400,15 @@ TEST_F(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
 using CudaDevices = testing::DeviceTest;
 
 TEST_F(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
-  Registry registry = make_registry();
   const std::string missing = "cuda:" + std::to_string(devices());
-  EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { const Subject run(hash_config(), missing, registry); }),
+  EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { const Subject run(missing); }),
              "runtime.device: " + missing + ": this machine has ", "cuda:" + std::to_string(devices() - 1))
       << missing;
 }
 
 TEST_F(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
-  Registry registry = make_registry();
   for (int ordinal = 0; ordinal < std::min(devices(), 2); ++ordinal) {
-    Subject run(hash_config(), "cuda:" + std::to_string(ordinal), registry);
+    Subject run("cuda:" + std::to_string(ordinal));
     EXPECT_EQ(run.session.pipeline->executor().device(), (DeviceId{Device::cuda, ordinal}));
     run.to(4);
     int current = -1;
@@ -422,16 +420,15 @@ TEST_F(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
 // Of equal devices; a run goes on on another one.
 TEST_F(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
   if (devices() < 2) GTEST_SKIP() << "this machine has one device";
-  Registry registry = make_registry();
   for (const char* precision : {"", ", precision: bf16"}) {
     const std::string first = std::string("cuda:0") + precision, second = std::string("cuda:1") + precision;
-    Subject a(hash_config(), first, registry), b(hash_config(), second, registry);
+    Subject a(first), b(second);
     a.to(20);
     b.to(20);
     EXPECT_EQ(a.bits(), b.bits()) << precision;
     const TempDir dir;
     write_safetensors(dir / "state.safetensors", a.trainer.tensors(), {});
-    Subject c(hash_config(), second, registry);
+    Subject c(second);
     c.trainer.load(TensorFile::read(dir / "state.safetensors"), 20);
     a.to(40);
     c.to(40);
@@ -578,9 +575,7 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     expect_bits(there(got.direction), want.direction, "direction");
     expect_bits(there(got.near_far), want.near_far, "near and far");
     expect_bits(there(got.targets.color), want.target, "colour");
-    const View<const float> depth = got.targets.more[channel::depth], seen_depth = seen.targets.more[channel::depth];
     ASSERT_EQ(seen.targets.label.empty(), host.targets.label.empty());
-    ASSERT_EQ(seen_depth.empty(), !pool.with_depth);
     ASSERT_EQ(seen.label_only.rows, host.label_only.rows);
     for (std::int64_t t = 0; t < host.label_only.rows; ++t)
       EXPECT_EQ(seen.label_only(t, 0), host.label_only(t, 0)) << t;
@@ -590,19 +585,25 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     }
     ASSERT_EQ(got.targets.more[channel::camera].empty(), !pool.with_camera);
     if (pool.with_camera) expect_bits(there(got.targets.more[channel::camera]), want.of(channel::camera), "camera");
-    const View<const float> alpha = got.targets.more[channel::alpha], seen_alpha = seen.targets.more[channel::alpha];
-    ASSERT_EQ(seen_alpha.empty(), !pool.with_alpha);
-    if (pool.with_alpha) {
-      const std::vector<float>& wanted = want.of(channel::alpha);
-      expect_bits(there(alpha), wanted, "alpha");
-      EXPECT_EQ(std::memcmp(seen_alpha.data, wanted.data(), wanted.size() * sizeof(float)), 0);
-    }
-    if (pool.with_depth) {
-      const std::vector<float>& wanted = want.of(channel::depth);
-      expect_bits(there(depth), wanted, "depth");
-      EXPECT_EQ(std::memcmp(seen_depth.data, wanted.data(), wanted.size() * sizeof(float)), 0);
+    for (const auto& [name, is_there] :
+         {std::pair{channel::alpha, pool.with_alpha}, {channel::depth, pool.with_depth}}) {
+      const View<const float> of_host = seen.targets.more[name];
+      ASSERT_EQ(of_host.empty(), !is_there) << name;
+      if (!is_there) continue;
+      const std::vector<float>& wanted = want.of(name);
+      expect_bits(there(got.targets.more[name]), wanted, "a channel");
+      EXPECT_EQ(std::memcmp(of_host.data, wanted.data(), wanted.size() * sizeof(float)), 0) << name;
     }
   }
+}
+
+void expect_bits_of_the_host(Frames& frames, const RaySourceOptions& options) {
+  const RaySource source = frames.make(options);
+  const std::optional<PixelPool> pool = source.pool();
+  ASSERT_TRUE(pool);
+  EXPECT_EQ(pool->used_before.empty(), frames.buffers[0].used.empty()) << "masks";
+  BatchDrawer drawer(*pool, kAhead);
+  expect_same_batches(source, *pool, drawer);
 }
 
 using CudaBatchDrawer = testing::DeviceTest;
@@ -612,15 +613,9 @@ TEST_F(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
   for (const RaySourceKind kind : kKinds) {
     SCOPED_TRACE(static_cast<int>(kind));
     Frames frames(false, true);
-    RaySourceOptions options{.train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3},
-                             .targets = {std::string(channel::depth)},
-                             .tile_rays = 333};
-    RaySource source = frames.make(options);
-    const std::optional<PixelPool> pool = source.pool();
-    ASSERT_TRUE(pool);
-    ASSERT_FALSE(pool->used_before.empty());
-    BatchDrawer drawer(*pool, kAhead);
-    expect_same_batches(source, *pool, drawer);
+    expect_bits_of_the_host(frames, {.train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3},
+                                     .targets = {std::string(channel::depth)},
+                                     .tile_rays = 333});
   }
 }
 
@@ -641,11 +636,7 @@ TEST_F(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
         if (tile != 3000) options.targets.emplace_back(channel::alpha);
         options.seed = 11 + static_cast<std::uint64_t>(tile);
         options.tile_rays = tile;
-        RaySource source = frames.make(options);
-        const std::optional<PixelPool> pool = source.pool();
-        ASSERT_TRUE(pool);
-        BatchDrawer drawer(*pool, kAhead);
-        expect_same_batches(source, *pool, drawer);
+        expect_bits_of_the_host(frames, options);
       }
     }
   }
@@ -670,41 +661,44 @@ TEST_F(CudaBatchDrawer, TakesNewLabelsOfTheSamePixels) {
   EXPECT_FALSE(drawer.relabel(*other.pool()));
 }
 
-TEST_F(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
-  Registry registry = make_registry();
-  const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
-  const std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Executor<float>& executor = session.pipeline->executor();
-  std::optional<PixelPool> pool = rays->pool();
-  ASSERT_TRUE(pool);
-  EXPECT_TRUE(executor.hold(*pool));
+// The pixels of a run on the device.
+struct CudaHeldPixels : testing::DeviceTest {
+  void SetUp() override {
+    SEMFIELD_NEEDS_DEVICE();
+    session.emplace(open_text(hash_config("runtime: {device: cuda}\n")));
+    rays = session->make_ray_source();
+    pool = rays->pool();
+    ASSERT_TRUE(pool);
+  }
+  Executor<float>& executor() { return session->pipeline->executor(); }
+  std::optional<Session> session;
+  std::unique_ptr<RaySource> rays;
+  std::optional<PixelPool> pool;
+};
+
+TEST_F(CudaHeldPixels, WhatAHostMustSayIsLeftToIt) {
+  EXPECT_TRUE(executor().hold(*pool));
   PixelPool bad_camera = *pool;
   bad_camera.frames.back().camera.cx = NAN;
-  EXPECT_FALSE(executor.hold(bad_camera));
+  EXPECT_FALSE(executor().hold(bad_camera));
   PixelPool bad_label = *pool;
   bad_label.read_labels = [](std::size_t, std::span<std::int16_t>) {
     throw Error(ErrorKind::data, "test.error.made", "no class", "");
   };
-  EXPECT_FALSE(executor.hold(bad_label));
+  EXPECT_FALSE(executor().hold(bad_label));
 }
 
-TEST_F(CudaBatchDrawer, PixelsThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
-  Registry registry = make_registry();
-  const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
-  const std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Executor<float>& executor = session.pipeline->executor();
-  std::optional<PixelPool> pool = rays->pool();
-  ASSERT_TRUE(pool);
+TEST_F(CudaHeldPixels, ThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
   std::vector<std::int64_t> offsets(pool->offsets.begin(), pool->offsets.end());
   offsets.back() = std::int64_t{1} << 40;
   pool->offsets = offsets;
-  (void)executor.take_notes();
-  EXPECT_FALSE(executor.hold(*pool));
-  const std::vector<std::string> notes = executor.take_notes();
+  (void)executor().take_notes();
+  EXPECT_FALSE(executor().hold(*pool));
+  const std::vector<std::string> notes = executor().take_notes();
   ASSERT_EQ(notes.size(), 1u);
   EXPECT_HAS(notes[0], "pixels stay in the host's memory");
-  EXPECT_FALSE(executor.hold(*pool));
-  EXPECT_TRUE(executor.take_notes().empty());
+  EXPECT_FALSE(executor().hold(*pool));
+  EXPECT_TRUE(executor().take_notes().empty());
 }
 
 // Adam on the device against the CPU's: the same bits where that one has fused multiply-add.
