@@ -217,6 +217,49 @@ View<const T> host_view(const std::vector<T>& values, std::int32_t cols) {
   return View<const T>(values.data(), cols == 0 ? 0 : static_cast<std::int64_t>(values.size()) / cols, cols);
 }
 
+/// The numbers of a view, row by row.
+template <class Real>
+std::vector<float> flat(View<Real> view) {
+  std::vector<float> values;
+  for (std::int64_t r = 0; r < view.rows; ++r) {
+    for (std::int32_t c = 0; c < view.cols; ++c) values.push_back(static_cast<float>(view(r, c)));
+  }
+  return values;
+}
+
+/// A component's tensors in device memory, and gradients that are zeros.
+struct DeviceTensors {
+  template <class Real>
+  explicit DeviceTensors(const testkit::TensorBox<Real>& box) {
+    for (std::size_t i = 0; i < box.count(); ++i) {
+      const View<Real> value = box.value(i);
+      const std::vector<float> zeros(static_cast<std::size_t>(value.size()));
+      values.push_back(std::make_unique<DeviceMatrix<float>>(flat(value), value.cols));
+      grads.push_back(std::make_unique<DeviceMatrix<float>>(zeros, value.cols));
+      value_views.push_back(values.back()->view());
+      grad_views.push_back(grads.back()->view());
+    }
+  }
+  Tensors<float> tensors() const { return {value_views, grad_views}; }
+  Tensors<float> values_only() const { return {value_views, {}}; }
+  void clear_gradients() const {
+    for (const auto& grad : grads) grad->write(std::vector<float>(static_cast<std::size_t>(grad->view().size())));
+  }
+  std::vector<std::vector<float>> gradients() const {
+    std::vector<std::vector<float>> all;
+    for (const auto& grad : grads) all.push_back(grad->read());
+    return all;
+  }
+  std::string surroundings() const {
+    std::string all;
+    for (const auto* tensors_of : {&values, &grads})
+      for (const auto& tensor : *tensors_of) all += tensor->surroundings();
+    return all;
+  }
+  std::vector<std::unique_ptr<DeviceMatrix<float>>> values, grads;
+  std::vector<View<float>> value_views, grad_views;
+};
+
 // A field on the device with the inputs, tensors and output weights of a float64 bench on the CPU, its oracle.
 
 using testkit::FieldBench;
@@ -227,10 +270,11 @@ inline View<Bf16> as_rounded(View<__nv_bfloat16> v) {
   return {reinterpret_cast<Bf16*>(v.data), v.rows, v.cols, v.row_stride, v.device};
 }
 
-class DeviceField {
+class DeviceField : public DeviceTensors {
  public:
   /// `padding`: columns between the rows of inputs and outputs.
-  DeviceField(const Field<float>& of, FieldBench<double>& bench, std::int32_t padding = 0) : field(of) {
+  DeviceField(const Field<float>& of, FieldBench<double>& bench, std::int32_t padding = 0)
+      : DeviceTensors(bench.box), field(of) {
     const std::int64_t rows = bench.position.rows();
     const auto copy = [&](const testkit::Guarded<double>& from) {
       return std::make_unique<DeviceMatrix<float>>(flat(from.view()), from.cols(), from.cols() + padding);
@@ -245,14 +289,6 @@ class DeviceField {
     ray_of_sample = std::make_unique<DeviceMatrix<std::int32_t>>(rays, 1);
     w_sigma = copy(bench.w_sigma), w_rgb = copy(bench.w_rgb), w_feature = copy(bench.w_feature);
     sigma = space(1), rgb = space(3), feature = space(bench.feature.cols()), d_position = space(bench.position.cols());
-    for (std::size_t i = 0; i < bench.box.count(); ++i) {
-      const View<double> value = bench.box.value(i);
-      values.push_back(std::make_unique<DeviceMatrix<float>>(flat(value), value.cols));
-      grads.push_back(std::make_unique<DeviceMatrix<float>>(std::vector<float>(static_cast<std::size_t>(value.size())),
-                                                            value.cols));
-      value_views.push_back(values.back()->view());
-      grad_views.push_back(grads.back()->view());
-    }
     saved = std::make_unique<DeviceMatrix<std::byte>>(
         static_cast<std::int64_t>(field.saved_bytes(rows, direction ? direction->view().rows : 0)), 1);
     ctx.training = true;
@@ -279,7 +315,6 @@ class DeviceField {
     if (wanted.feature) w.feature = w_feature->view();
     return w;
   }
-  Tensors<float> tensors() const { return {value_views, grad_views}; }
   Saved space() const { return Saved(saved->data(), static_cast<std::size_t>(saved->view().rows)); }
 
   void derive() const { field.derive(ctx, tensors()); }
@@ -291,15 +326,6 @@ class DeviceField {
                    with_d_position ? d_position->view() : View<float>());
     field.derive_backward(ctx, tensors());
   }
-  /// Gradients of all tensors one behind the other.
-  std::vector<float> all_grads() const {
-    std::vector<float> all;
-    for (const auto& grad : grads) {
-      const std::vector<float> values_of_one = grad->read();
-      all.insert(all.end(), values_of_one.begin(), values_of_one.end());
-    }
-    return all;
-  }
 
   DeviceLaunch launch;
   const Field<float>& field;
@@ -307,17 +333,6 @@ class DeviceField {
   std::unique_ptr<DeviceMatrix<float>> position, direction, w_sigma, w_rgb, w_feature, sigma, rgb, feature, d_position;
   std::unique_ptr<DeviceMatrix<std::int32_t>> ray_of_sample;
   std::unique_ptr<DeviceMatrix<std::byte>> saved;
-  std::vector<std::unique_ptr<DeviceMatrix<float>>> values, grads;
-  std::vector<View<float>> value_views, grad_views;
-
- private:
-  static std::vector<float> flat(View<const double> view) {
-    std::vector<float> values_of_one;
-    for (std::int64_t r = 0; r < view.rows; ++r) {
-      for (std::int32_t c = 0; c < view.cols; ++c) values_of_one.push_back(static_cast<float>(view(r, c)));
-    }
-    return values_of_one;
-  }
 };
 
 /// floor: what sums of terms are like whose total may cancel (testkit/compare.h).

@@ -13,6 +13,7 @@ namespace {
 using cuda::Stage;
 using testing::DeviceLaunch;
 using testing::DeviceMatrix;
+using testing::DeviceTensors;
 using testing::NotedFault;
 
 template <class Real>
@@ -81,37 +82,6 @@ std::vector<float> gradients(std::int64_t rows, std::int32_t cols, std::uint64_t
   return dy;
 }
 
-/// A grid's tables and gradients in device memory.
-struct DeviceTables {
-  explicit DeviceTables(const testkit::TensorBox<float>& box) {
-    for (std::size_t l = 0; l < box.count(); ++l) {
-      const auto count = static_cast<std::size_t>(box.value(l).size());
-      const float* const data = box.value(l).data;
-      value.push_back(std::make_unique<DeviceMatrix<float>>(std::vector<float>(data, data + count), box.value(l).cols));
-      grad.push_back(std::make_unique<DeviceMatrix<float>>(std::vector<float>(count, 0), box.value(l).cols));
-      values.push_back(value.back()->view());
-      grads.push_back(grad.back()->view());
-    }
-  }
-  Tensors<float> tensors() const { return {values, grads}; }
-  void clear_gradients() {
-    for (auto& g : grad) g->write(std::vector<float>(static_cast<std::size_t>(g->view().size()), 0));
-  }
-  std::vector<std::vector<float>> gradients() const {
-    std::vector<std::vector<float>> all;
-    for (const auto& g : grad) all.push_back(g->read());
-    return all;
-  }
-  std::string surroundings() const {
-    std::string all;
-    for (const auto& g : grad) all += g->surroundings();
-    for (const auto& v : value) all += v->surroundings();
-    return all;
-  }
-  std::vector<std::unique_ptr<DeviceMatrix<float>>> value, grad;
-  std::vector<View<float>> values, grads;
-};
-
 StepContext context(DeviceLaunch& launch) { return StepContext{.workspace = &launch.arena()}; }
 
 /// Both twins over the same rows. `y_stride`: beyond the columns, 0: 16-byte accesses are possible.
@@ -132,7 +102,7 @@ void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t 
                 testing::host_view(dx64, 3));
 
   DeviceLaunch launch(true);
-  DeviceTables tables(box);
+  DeviceTensors tables(box);
   const DeviceMatrix<double> x_device(x, 3, 3 + y_stride);
   const DeviceMatrix<float> dy_device(dy, cols, cols + y_stride);
   const DeviceMatrix<float> y(rows, cols, cols + y_stride);
@@ -146,8 +116,8 @@ void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t 
     tables.clear_gradients();
     device.backward(context(launch), tables.tensors(), x_device.read_only(), dy_device.read_only(), dx.view());
     // Sums of up to 8 rows' worth of addends an entry in fp32.
-    for (std::size_t l = 0; l < tables.grad.size(); ++l)
-      EXPECT_EQ(near(*tables.grad[l], oracle.grad(l), 1e-5), "") << "level " << l;
+    for (std::size_t l = 0; l < tables.grads.size(); ++l)
+      EXPECT_EQ(near(*tables.grads[l], oracle.grad(l), 1e-5), "") << "level " << l;
     EXPECT_EQ(near(dx, dx64, 1e-5), "");
   }
   EXPECT_EQ(y.surroundings() + dx.surroundings() + tables.surroundings(), "");
@@ -172,7 +142,7 @@ TEST_F(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
   const HashGridParams params = params_of(8, 2, 12, 8, 256);
   const HashGrid<float> encoder = make<float>(params, Device::cuda);
   DeviceLaunch launch(false, true);
-  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(kRows, 9), 3);
   const DeviceMatrix<float> dy(gradients(kRows, 16, 8), 16);
   std::vector<std::vector<float>> first;
@@ -193,7 +163,7 @@ TEST_F(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
 TEST_F(CudaHashGrid, FixedPointKeepsTheAccuracyOfSmallGradients) {
   constexpr std::int64_t kRows = 4097;
   const HashGrid<float> encoder = make<float>(params_of(16, 2, 14, 16, 2048), Device::cuda);
-  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(kRows, 9), 3);
   std::vector<float> dy = gradients(kRows, 32, 8);
   const auto run = [&](bool deterministic) {
@@ -223,7 +193,7 @@ TEST_F(CudaHashGrid, RowsOutOfUseAreLeftOut) {
   constexpr std::int64_t kRows = 1000, kLive = 333;
   const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
   const testkit::TensorBox<float> box(encoder, 1, 1);
-  DeviceTables tables(box), live_tables(box);
+  DeviceTensors tables(box), live_tables(box);
   const std::vector<double> x = points(kRows, 2);
   const std::vector<float> dy = gradients(kRows, 10, 3);
   const DeviceMatrix<double> x_all(x, 3);
@@ -243,14 +213,14 @@ TEST_F(CudaHashGrid, RowsOutOfUseAreLeftOut) {
     launch.set_live_rows(nullptr);
     encoder.backward(context(launch), live_tables.tensors(), x_all.read_only().row_range(0, kLive),
                      dy_all.read_only().row_range(0, kLive), {});
-    for (std::size_t l = 0; l < tables.grad.size(); ++l)
-      EXPECT_EQ(near(*tables.grad[l], testing::widen(*live_tables.grad[l]), 1e-5), "");
+    for (std::size_t l = 0; l < tables.grads.size(); ++l)
+      EXPECT_EQ(near(*tables.grads[l], testing::widen(*live_tables.grads[l]), 1e-5), "");
   }
 }
 
 TEST_F(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
   const HashGrid<float> encoder = make<float>(params_of(16, 2, 12, 8, 1048576), Device::cuda);
-  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) {
     std::vector<double> x = points(500, 2), clamped = x;
     for (const std::size_t i : {3 * 411, 3 * 122 + 2}) x[i] = bad, clamped[i] = bad > 0 ? 1 : 0;
@@ -274,7 +244,7 @@ TEST_F(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
 
 TEST_F(CudaHashGrid, GradientsThatAreNotFiniteReachEveryLevel) {
   const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
-  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
+  DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(100, 2), 3);
   std::vector<float> rows = gradients(100, 10, 3);
   for (int c = 0; c < 10; ++c) rows[10 * 60 + c] = c % 2 == 0 ? NAN : -HUGE_VALF;

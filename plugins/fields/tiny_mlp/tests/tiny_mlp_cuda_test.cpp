@@ -179,7 +179,7 @@ TEST(CudaTinyMlpBits, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
       device->forward(network.outputs());
       device->backward(network.outputs());
     }
-    for (std::size_t i = 0; i < once.grads.size(); ++i) EXPECT_EQ(once.grads[i]->read(), twice.grads[i]->read());
+    EXPECT_EQ(once.gradients(), twice.gradients());
     twice.backward(network.outputs());
     for (std::size_t i = 0; i < once.grads.size(); ++i) {
       std::vector<float> doubled = once.grads[i]->read();
@@ -300,7 +300,7 @@ TEST_F(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   sharing.field.backward(sharing.ctx, sharing.tensors(), sharing.in(), out, grad, sharing.space(),
                          sharing.d_position->view());
   EXPECT_EQ(sharing.d_position->read(), plain.d_position->read());
-  for (std::size_t i = 0; i < plain.grads.size(); ++i) EXPECT_EQ(sharing.grads[i]->read(), plain.grads[i]->read());
+  EXPECT_EQ(sharing.gradients(), plain.gradients());
 }
 
 using CudaTinyMlpFeature = testing::DeviceTest;

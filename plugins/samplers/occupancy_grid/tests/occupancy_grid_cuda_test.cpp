@@ -19,28 +19,6 @@ struct Grids {
 
 constexpr double kMeanTolerance = 1e-6;
 
-// The state tensors of a grid in device memory.
-class DeviceState {
- public:
-  explicit DeviceState(const testkit::TensorBox<float>& box) {
-    for (std::size_t i = 0; i < 4; ++i) {
-      const View<float> from = box.value(i);
-      matrices_[i] =
-          std::make_unique<DeviceMatrix<float>>(std::vector<float>(from.data, from.data + from.rows), from.cols);
-      views_[i] = matrices_[i]->view();
-    }
-  }
-  Tensors<float> tensors() const { return {views_, {}}; }
-  std::vector<float> read(std::size_t tensor) const {
-    EXPECT_EQ(matrices_[tensor]->surroundings(), "");
-    return matrices_[tensor]->read();
-  }
-
- private:
-  std::array<std::unique_ptr<DeviceMatrix<float>>, 4> matrices_;
-  std::array<View<float>, 4> views_;
-};
-
 // Densities of a field: a ball over a haze that grows along x, and a wavy one.
 using Field = double (*)(Vec3d p);
 double ball(Vec3d p) {
@@ -90,9 +68,9 @@ struct Subject {
     const HostSamples want = sample_on_cpu(grids.cpu, ctx, box.values_only(), rays);
     if (live != nullptr) *live = want.live();
     DeviceLaunch launch;
-    const DeviceState state(box);
+    const DeviceTensors state(box);
     DeviceBatch batch(grids.device, rays, nullptr, gap);
-    batch.sample(device_context(ctx, launch), state.tensors());
+    batch.sample(device_context(ctx, launch), state.values_only());
     const HostSamples got = batch.read();
     EXPECT_EQ(launch.take_fault(), std::nullopt);
     return difference(want, got);
@@ -169,30 +147,32 @@ TEST_F(CudaOccupancyGrid, RaysThatMissTheGridAndRaysAlongItsAxes) {
 void expect_same_state(const OccupancyGridParams& params, Field field, const std::vector<std::int64_t>& steps) {
   Subject subject(params);
   DeviceLaunch launch;
-  const DeviceState state(subject.box);
+  const DeviceTensors state(subject.box);
   Workspace workspace;
   for (const std::int64_t step : steps) {
     StepContext ctx = context_at(step, true);
     ctx.workspace = &workspace;
     subject.grids.cpu.observe(ctx, subject.box.values_only(), host_query(field));
     ctx.workspace = &launch.arena();
-    subject.grids.device.observe(ctx, state.tensors(), device_query(field));
+    subject.grids.device.observe(ctx, state.values_only(), device_query(field));
   }
   EXPECT_EQ(launch.take_fault(), std::nullopt);
   const auto cpu = [&](std::size_t tensor) {
     const View<float> v = subject.box.value(tensor);
     return std::vector<float>(v.data, v.data + v.rows);
   };
-  const std::vector<float> density = cpu(0), summary = cpu(3), device_summary = state.read(3);
-  ASSERT_EQ(density, state.read(0));
+  const auto device = [&](std::size_t tensor) { return state.values[tensor]->read(); };
+  const std::vector<float> density = cpu(0), summary = cpu(3), device_summary = device(3);
+  EXPECT_EQ(state.surroundings(), "");
+  ASSERT_EQ(density, device(0));
   for (std::size_t i = 0; i < 3; ++i)
     EXPECT_NEAR(device_summary[i], summary[i], kMeanTolerance * static_cast<double>(summary[i])) << i;
   // A density between the two thresholds may count either way; one must be very unlucky to meet it.
   const auto [low, high] = std::minmax(summary[1], device_summary[1]);
   for (const float value : density) ASSERT_FALSE(value > low && value <= high) << value;
-  const std::vector<float> bits = cpu(1), device_bits = state.read(1);
+  const std::vector<float> bits = cpu(1), device_bits = device(1);
   ASSERT_EQ(std::memcmp(bits.data(), device_bits.data(), bits.size() * sizeof(float)), 0);
-  ASSERT_EQ(cpu(2), state.read(2));
+  ASSERT_EQ(cpu(2), device(2));
 }
 
 TEST_F(CudaOccupancyGrid, UpdatesAreThoseOfTheCpu) {
@@ -224,20 +204,22 @@ TEST_F(CudaOccupancyGrid, ABadDensityIsAFaultAndChangesNothing) {
     Subject subject(small_grid());
     subject.learn(ball, 80);
     DeviceLaunch launch;
-    const DeviceState state(subject.box);
+    const DeviceTensors state(subject.box);
     std::array<std::vector<float>, 4> before;
-    for (std::size_t i = 0; i < 4; ++i) before[i] = state.read(i);
+    for (std::size_t i = 0; i < 4; ++i) before[i] = state.values[i]->read();
     StepContext ctx = context_at(80, true);
     ctx.workspace = &launch.arena();
-    subject.grids.device.observe(ctx, state.tensors(), device_query(field));
+    subject.grids.device.observe(ctx, state.values_only(), device_query(field));
     for (std::size_t i = 0; i < 4; ++i)
-      EXPECT_EQ(std::memcmp(before[i].data(), state.read(i).data(), before[i].size() * sizeof(float)), 0) << i;
+      EXPECT_EQ(std::memcmp(before[i].data(), state.values[i]->read().data(), before[i].size() * sizeof(float)), 0)
+          << i;
+    EXPECT_EQ(state.surroundings(), "");
     const std::optional<NotedFault> fault = launch.take_fault();
     ASSERT_TRUE(fault.has_value());
     EXPECT_EQ(fault->stage, cuda::Stage::occupancy_density);
     DeviceLaunch at_once(true);
     ctx.workspace = &at_once.arena();
-    const auto on_device = [&] { subject.grids.device.observe(ctx, state.tensors(), device_query(field)); };
+    const auto on_device = [&] { subject.grids.device.observe(ctx, state.values_only(), device_query(field)); };
     Workspace workspace;
     StepContext host = ctx;
     host.workspace = &workspace;
@@ -251,14 +233,14 @@ TEST_F(CudaOccupancyGrid, LimitsThatAreNotFiniteAreAFault) {
   HostRays rays = random_rays(9, 1, 0);
   rays.near_far[11] = INFINITY;
   DeviceLaunch launch;
-  const DeviceState state(subject.box);
+  const DeviceTensors state(subject.box);
   DeviceBatch batch(subject.grids.device, rays, nullptr, 0);
-  batch.sample(device_context(context_at(1, true), launch), state.tensors());
+  batch.sample(device_context(context_at(1, true), launch), state.values_only());
   EXPECT_EQ(launch.take_fault(), (NotedFault{cuda::Stage::rays, 5}));
   for (const float t : batch.read().t) ASSERT_TRUE(std::isfinite(t));
   DeviceLaunch at_once(true);
   const StepContext ctx = context_at(1, true);
-  EXPECT_EQ(error_of([&] { batch.sample(device_context(ctx, at_once), state.tensors()); }),
+  EXPECT_EQ(error_of([&] { batch.sample(device_context(ctx, at_once), state.values_only()); }),
             error_of([&] { sample_on_cpu(subject.grids.cpu, ctx, subject.box.values_only(), rays); }));
 }
 
