@@ -4,6 +4,7 @@
 #include "config/config_tree.h"
 #include "testkit/laws.h"
 #include "tests/linked_registry.h"
+#include "tests/says.h"
 
 namespace semfield {
 
@@ -14,7 +15,19 @@ class NamedDataset final : public Dataset {
     dataset_ = entry.dataset(*testkit::make_params(entry, settings), build);
   }
   SceneInfo open(Diagnostics& diagnostics) override { return dataset_->open(diagnostics); }
+  /// Without an error.
+  SceneInfo open() {
+    Diagnostics diagnostics;
+    const SceneInfo info = dataset_->open(diagnostics);
+    EXPECT_FALSE(diagnostics.has_errors()) << all_said(diagnostics);
+    return info;
+  }
   void read(int frame, FrameBuffer& out) const override { dataset_->read(frame, out); }
+  FrameBuffer read(int frame) const {
+    FrameBuffer out;
+    dataset_->read(frame, out);
+    return out;
+  }
 
  private:
   std::unique_ptr<Dataset> dataset_;

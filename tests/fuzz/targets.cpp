@@ -588,23 +588,17 @@ SCENE_OF_PARTS(colmap_text, {"colmap",
 // The first byte chooses the file, the others are as they should be.
 void fuzz_colmap_binary(std::string_view bytes) {
   if (bytes.empty()) return;
-  const auto number = [](std::string& out, auto value) {
-    out.append(reinterpret_cast<const char*>(&value), sizeof value);
+  const auto put_numbers = [](std::string& out, auto... values) {
+    (out.append(reinterpret_cast<const char*>(&values), sizeof values), ...);
   };
+  using Count = std::uint64_t;
+  using Id = std::uint32_t;
   std::string cameras, images, points;
-  number(cameras, std::uint64_t{1});
-  number(cameras, std::uint32_t{1});
-  number(cameras, std::int32_t{1});  // PINHOLE
-  number(cameras, std::uint64_t{4});
-  number(cameras, std::uint64_t{3});
-  for (const double v : {3.0, 3.0, 2.0, 1.5}) number(cameras, v);
-  number(images, std::uint64_t{1});
-  number(images, std::uint32_t{1});
-  for (const double v : {1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0}) number(images, v);
-  number(images, std::uint32_t{1});
+  put_numbers(cameras, Count{1}, Id{1}, std::int32_t{1}, Count{4}, Count{3}, 3.0, 3.0, 2.0, 1.5);  // PINHOLE
+  put_numbers(images, Count{1}, Id{1}, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Id{1});
   images += std::string("a.png") + '\0';
-  number(images, std::uint64_t{0});
-  number(points, std::uint64_t{0});
+  put_numbers(images, Count{0});
+  put_numbers(points, Count{0});
   const char which = bytes.front();
   bytes.remove_prefix(1);
   (which == 'c' ? cameras : which == 'p' ? points : images) = bytes;

@@ -9,10 +9,12 @@ namespace {
 
 using namespace testing_room;
 
-template <class T>
-void put(std::string& out, T value) {
-  out.append(reinterpret_cast<const char*>(&value), sizeof value);
+template <class... T>
+void put(std::string& out, T... values) {
+  (out.append(reinterpret_cast<const char*>(&values), sizeof values), ...);
 }
+using Count = std::uint64_t;
+using Id = std::uint32_t;
 
 // Two views of one 8 x 4 camera: view a at the origin, view b turned by 90 degrees about y and moved.
 constexpr double kHalf = 0.70710678118654752;
@@ -24,34 +26,22 @@ Vec3d point(int i) { return {0.01 * i - 1, 0.005 * i, 4 + 0.02 * i}; }
 struct Binary {
   std::string cameras, images, points;
   Binary() {
-    put<std::uint64_t>(cameras, 1);
-    put<std::uint32_t>(cameras, 7);
-    put<std::int32_t>(cameras, 4);
-    put<std::uint64_t>(cameras, 8);
-    put<std::uint64_t>(cameras, 4);
+    put(cameras, Count{1}, Id{7}, std::int32_t{4}, Count{8}, Count{4});  // an OPENCV camera of 8 x 4 pixels
     for (const double p : kOpencv) put(cameras, p);
-    put<std::uint64_t>(images, 2);
-    for (std::uint32_t i = 0; i < 2; ++i) {
-      put<std::uint32_t>(images, i + 1);
+    put(images, Count{2});
+    for (Id i = 0; i < 2; ++i) {
+      put(images, i + 1);
       for (const double v : kPoses[i]) put(images, v);
-      put<std::uint32_t>(images, 7);
+      put(images, Id{7});
       images += i == 0 ? std::string("a.png") + '\0' : std::string("b.png") + '\0';
-      put<std::uint64_t>(images, kPoints + 1);
-      for (int p = -1; p < kPoints; ++p) {
-        put(images, 1.0);
-        put(images, 2.0);
-        put<std::int64_t>(images, p < 0 ? -1 : 10 + p);
-      }
+      put(images, Count{kPoints + 1});
+      for (int p = -1; p < kPoints; ++p) put(images, 1.0, 2.0, std::int64_t{p < 0 ? -1 : 10 + p});
     }
-    put<std::uint64_t>(points, kPoints);
+    put(points, Count{kPoints});
     for (int p = 0; p < kPoints; ++p) {
-      put<std::uint64_t>(points, 10 + static_cast<std::uint64_t>(p));
-      for (int a = 0; a < 3; ++a) put(points, point(p)[a]);
+      put(points, 10 + static_cast<Count>(p), point(p).x, point(p).y, point(p).z);
       points += "rgb";
-      put(points, 0.5);
-      put<std::uint64_t>(points, 1);
-      put<std::uint32_t>(points, 1);
-      put<std::uint32_t>(points, 0);
+      put(points, 0.5, Count{1}, Id{1}, Id{0});
     }
   }
   void write(const std::string& folder) const {
@@ -61,6 +51,7 @@ struct Binary {
   }
 };
 
+void write_binary(const std::string& folder) { Binary().write(folder); }
 void write_text(const std::string& folder) {
   std::string points = "# points\n", seen = "1 2 -1";
   char text[128];
@@ -101,7 +92,7 @@ std::vector<std::string> problems(const Diagnostics& diagnostics) {
 
 TEST(Colmap, TextAndBinaryGiveTheSameScene) {
   Diagnostics d;
-  const SceneInfo binary = open(scene_folder("b", [](const std::string& f) { Binary().write(f); }), d);
+  const SceneInfo binary = open(scene_folder("b", write_binary), d);
   const SceneInfo text = open(scene_folder("t", write_text), d);
   EXPECT_EQ(problems(d), std::vector<std::string>{});
   ASSERT_EQ(binary.frames.size(), 2u);
@@ -123,7 +114,7 @@ TEST(Colmap, TextAndBinaryGiveTheSameScene) {
 
 TEST(Colmap, WorldToCameraIsInvertedAndPointsLieInFront) {
   Diagnostics d;
-  const SceneInfo info = open(scene_folder("b", [](const std::string& f) { Binary().write(f); }), d);
+  const SceneInfo info = open(scene_folder("b", write_binary), d);
   const Pose& b = info.frames[1].world_from_camera;
   // Turned by 90 degrees about y: camera from world is x -> -z, z -> x, then moved by (1, 2, 3).
   const Vec3d p{0.3, -0.2, 5};
@@ -143,7 +134,7 @@ TEST(Colmap, WorldToCameraIsInvertedAndPointsLieInFront) {
 }
 
 TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
-  const std::string folder = scene_folder("a", [](const std::string& f) { Binary().write(f); });
+  const std::string folder = scene_folder("a", write_binary);
   const auto with = [](std::string bytes, std::size_t at, auto value) {
     std::memcpy(bytes.data() + at, &value, sizeof value);
     return bytes;

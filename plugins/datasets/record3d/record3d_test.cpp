@@ -50,10 +50,8 @@ SceneInfo open(const std::string& folder, Diagnostics& d) {
 TEST(Record3d, DepthOfAnotherSizeIsNeverAveraged) {
   if (!images_available()) GTEST_SKIP() << "this build reads no EXR (SEMFIELD_WITH_IMAGES=OFF)";
   NamedDataset scene("record3d", {{"root", export_of()}});
-  Diagnostics d;
-  const SceneInfo info = scene.open(d);
-  FrameBuffer got;
-  scene.read(2, got);
+  scene.open();
+  const FrameBuffer got = scene.read(2);
   EXPECT_EQ(got.rgb, render_room(room_camera(), room_pose(10)).rgb);
   const std::vector<float> small = render_room(room_camera(20, 15), room_pose(10)).depth_m;
   ASSERT_EQ(got.depth_m.size(), 1200u);

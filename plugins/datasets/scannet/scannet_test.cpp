@@ -68,8 +68,7 @@ TEST(Scannet, ColourCameraDeliversDepthAndLabelsOfOtherSizes) {
   EXPECT_EQ(info.classes.valid(4).id, 38);
   const int index_of_wall[] = {0, 0, 3, 1, 4, 2};
   for (int i = 0; i < 4; ++i) {
-    FrameBuffer got;
-    scene.read(i, got);
+    const FrameBuffer got = scene.read(i);
     const FrameBuffer want = render_room(room_camera(), room_pose(i));
     EXPECT_EQ(got.rgb, want.rgb);
     int seen = 0, same_label = 0, same_instance = 0;

@@ -4,11 +4,11 @@
 
 #include <algorithm>
 
-#include "compute/parallel.h"
 #include "datasets/obj_room/obj_room.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "formats/image_io.h"
 #include "scene/camera.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -16,6 +16,13 @@ namespace {
 using namespace testing_obj;
 
 using Corners = std::array<std::uint32_t, 3>;
+
+TriangleMesh load_sound(const std::string& path) {
+  Diagnostics d;
+  TriangleMesh mesh = load_obj(path, d);
+  EXPECT_EQ(all_said(d), "");
+  return mesh;
+}
 
 TEST(MeshIo, ReadsPositionsUvsNormalsObjectsGroupsAndMaterials) {
   const std::string folder = fresh_folder("good");
@@ -30,9 +37,7 @@ TEST(MeshIo, ReadsPositionsUvsNormalsObjectsGroupsAndMaterials) {
               "o desk top\ng left\nusemtl Oak wood\nf 1/1/1 2/2/1 3/3/1\n"
               "g right side\nusemtl Glass\nf 1//1 2//1 4//1\n"
               "o lamp\nf 1 3 4\n");
-  Diagnostics d;
-  const TriangleMesh mesh = load_obj(folder + "/good.obj", d);
-  EXPECT_EQ(all_said(d), "");
+  const TriangleMesh mesh = load_sound(folder + "/good.obj");
   ASSERT_EQ(mesh.positions.size(), 4u);
   EXPECT_EQ(mesh.positions[2], (Vec3f{0, 1, 0}));
   ASSERT_EQ(mesh.size(), 3u);
@@ -63,9 +68,8 @@ TEST(MeshIo, ReadsPositionsUvsNormalsObjectsGroupsAndMaterials) {
 }
 
 TEST(MeshIo, NegativeIndicesCountBackFromTheLastVertexSoFar) {
-  Diagnostics d;
   const TriangleMesh mesh = load_text(
-      "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf -3/-3 -2/-2 -1/-1\nv 9 9 9\nf -4 -3 -1\nv 50 0 0\n", d);
+      "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf -3/-3 -2/-2 -1/-1\nv 9 9 9\nf -4 -3 -1\nv 50 0 0\n");
   ASSERT_EQ(mesh.size(), 2u);
   EXPECT_EQ(mesh.triangles[0], (Corners{0, 1, 2}));
   EXPECT_EQ(mesh.triangles[1], (Corners{0, 1, 3}));
@@ -74,9 +78,8 @@ TEST(MeshIo, NegativeIndicesCountBackFromTheLastVertexSoFar) {
 }
 
 TEST(MeshIo, GroupsAreTheObjectsOfAFileWithoutObjects) {
-  Diagnostics d;
   const TriangleMesh mesh =
-      load_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng chair_1\nf 1 2 3\ng\nf 1 2 3\ng chair_1\nf 1 2 3\n", d);
+      load_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng chair_1\nf 1 2 3\ng\nf 1 2 3\ng chair_1\nf 1 2 3\n");
   EXPECT_EQ(mesh.objects, (std::vector<std::string>{"unnamed", "chair_1"}));
   EXPECT_EQ(mesh.object_of, (std::vector<std::int32_t>{0, 1, 0, 1}));
 }
@@ -86,8 +89,7 @@ TEST(MeshIo, EveryLineEndReadsTheSame) {
   for (const std::string end : {"\r\n", "\r"}) {
     std::string text;
     for (const char c : unix_text) text += c == '\n' ? end : std::string(1, c);
-    Diagnostics d;
-    const TriangleMesh mesh = load_text(text, d);
+    const TriangleMesh mesh = load_text(text);
     EXPECT_EQ(mesh.objects, std::vector<std::string>{"a"});
     EXPECT_EQ(mesh.size(), 1u);
   }
@@ -149,9 +151,7 @@ TEST(MeshIoErrors, SeveralMaterialFilesOnOneLine) {
   plain_write(folder + "/d.mtl", "newmtl D\nKd 0 0 1\n");
   plain_write(folder + "/room.obj",
               "mtllib a.mtl d.mtl\nmtllib b c.mtl\n" + kThree + "usemtl D\nf 1 2 3\nusemtl B\nf 1 2 3\n");
-  Diagnostics d;
-  const TriangleMesh mesh = load_obj(folder + "/room.obj", d);
-  EXPECT_EQ(all_said(d), "");
+  const TriangleMesh mesh = load_sound(folder + "/room.obj");
   EXPECT_EQ(mesh.materials.size(), 3u);
   EXPECT_EQ(mesh.material_of, (std::vector<std::int32_t>{1, 2}));
 }
@@ -198,12 +198,17 @@ MeshRenderer room_renderer() {
   return MeshRenderer(mesh, std::move(classes), quick(), d);
 }
 
+FrameBuffer rendered(const MeshRenderer& renderer, const Camera& camera, const Pose& pose, int number = 0) {
+  FrameBuffer frame;
+  renderer.render(camera, pose, number, frame);
+  return frame;
+}
+
 TEST(MeshRender, DepthClassAndInstanceOfEveryPixelAreExact) {
   const MeshRenderer renderer = room_renderer();
   const Camera camera = room_camera(61, 47);
   const Pose pose = look_along({0.1, -1, 1.2}, {-0.1, 1, -0.25}, {0, 0, 1});
-  FrameBuffer frame;
-  renderer.render(camera, pose, 0, frame);
+  const FrameBuffer frame = rendered(renderer, camera, pose);
   ASSERT_EQ(frame.depth_m.size(), 61u * 47);
   ASSERT_EQ(frame.rgb.size(), 61u * 47 * 3);
   int crate = 0;
@@ -230,13 +235,11 @@ TEST(MeshRender, SamePixelsForAnyNumberOfThreadsAndAnotherFrameAnotherNoise) {
   const MeshRenderer renderer = room_renderer();
   const Camera camera = room_camera(48, 36);
   const Pose pose = look_along({0.1, -1, 1.2}, {0.2, 1, -0.3}, {0, 0, 1});
-  FrameBuffer one, two, other;
-  set_thread_count(1);
-  renderer.render(camera, pose, 7, one);
-  set_thread_count(2);
-  renderer.render(camera, pose, 7, two);
-  set_thread_count(0);
-  renderer.render(camera, pose, 8, other);
+  const auto with_threads = [&](int threads) {
+    const ThreadScope scope(threads);
+    return rendered(renderer, camera, pose, 7);
+  };
+  const FrameBuffer one = with_threads(1), two = with_threads(2), other = rendered(renderer, camera, pose, 8);
   expect_same(one, two);
   EXPECT_EQ(one.depth_m, other.depth_m);
   EXPECT_NE(one.rgb, other.rgb);
@@ -244,12 +247,10 @@ TEST(MeshRender, SamePixelsForAnyNumberOfThreadsAndAnotherFrameAnotherNoise) {
 
 TEST(MeshRender, NothingHitIsVoidWithTheBackgroundsColour) {
   Diagnostics d;
-  TriangleMesh mesh = load_text("v -1 2 -1\nv 1 2 -1\nv 0 2 1\nf 1 2 3\n", d);
   RenderSettings settings = quick();
   settings.background = {0, 0.5f, 0};
-  const MeshRenderer renderer(std::move(mesh), {0}, settings, d);
-  FrameBuffer frame;
-  renderer.render(room_camera(8, 8), look_along({0, 0, 0}, {0, -1, 0}, {0, 0, 1}), 0, frame);
+  const MeshRenderer renderer(load_text("v -1 2 -1\nv 1 2 -1\nv 0 2 1\nf 1 2 3\n"), {0}, settings, d);
+  const FrameBuffer frame = rendered(renderer, room_camera(8, 8), look_along({0, 0, 0}, {0, -1, 0}, {0, 0, 1}));
   // 1 - exp(-0.5), sRGB-coded.
   const auto green = static_cast<int>(std::lround(255 * srgb_of_linear(1 - std::exp(-0.5f))));
   for (std::size_t i = 0; i < 64; ++i) {
@@ -277,9 +278,7 @@ struct Sheet {
     settings.ambient_above = settings.ambient_below = {1, 1, 1};
     settings.supersample = 1;
     const MeshRenderer renderer(std::move(mesh), {0, 0, 1, 1}, settings, diagnostics);
-    FrameBuffer frame;
-    renderer.render(room_camera(8, 8), look_along({0, 0, 0}, {0, 1, 0}, {0, 0, 1}), 0, frame);
-    return frame;
+    return rendered(renderer, room_camera(8, 8), look_along({0, 0, 0}, {0, 1, 0}, {0, 0, 1}));
   }
 };
 
@@ -342,17 +341,15 @@ TEST(MeshRender, TexturesThatCannotBeReadAreNamed) {
 TEST(MeshRender, LightFallsOnWhatFacesItAndShadowsStayDark) {
   Diagnostics d;
   TriangleMesh mesh = load_text(
-      "v -4 -4 0\nv 4 -4 0\nv 4 4 0\nv -4 4 0\nv 0 -4 1\nv 4 -4 1\nv 4 4 1\nv 0 4 1\no floor\nf 1 2 3 4\no shelf\nf 5 "
-      "6 7 8\n",
-      d);
+      "v -4 -4 0\nv 4 -4 0\nv 4 4 0\nv -4 4 0\nv 0 -4 1\nv 4 -4 1\nv 4 4 1\nv 0 4 1\n"
+      "o floor\nf 1 2 3 4\no shelf\nf 5 6 7 8\n");
   RenderSettings settings{.occlusion_rays = 0};
   settings.ambient_above = settings.ambient_below = {0, 0, 0};
   settings.lights.push_back({{2, 0, 2}, 0.01, {5, 5, 5}});
   settings.supersample = 1;
   const MeshRenderer renderer(std::move(mesh), {0, 0, 1, 1}, settings, d);
-  FrameBuffer frame;
   // Between floor and shelf: the floor under the shelf (right) is in shadow, the rest (left) is lit.
-  renderer.render(room_camera(16, 16), look_along({0, 0, 0.9}, {0, 0.001, -1}, {0, 0, 1}), 0, frame);
+  const FrameBuffer frame = rendered(renderer, room_camera(16, 16), look_along({0, 0, 0.9}, {0, 0.001, -1}, {0, 0, 1}));
   const std::size_t row = 8 * 16;
   EXPECT_EQ(frame.label[row + 2], 0);
   EXPECT_EQ(frame.label[row + 13], 0);
@@ -547,8 +544,7 @@ TriangleMesh pillars() {
     for (const double y : {-0.75, 0.75})
       add_box(obj, {{x - 0.125, y - 0.125, 0}, {x + 0.125, y + 0.125, 2.75}}, pillar, vertices);
   }
-  Diagnostics d;
-  return load_text(obj.str(), d);
+  return load_text(obj.str());
 }
 
 PathSettings settings_of(const TriangleMesh& mesh, int poses, std::uint64_t seed) {
@@ -590,8 +586,7 @@ TEST(RoomPath, ClearanceHoldsBesideThinPoles) {
     const double x = 0.375 * (i % 7 - 3), y = 0.375 * (i / 7 - 3);
     add_box(obj, {{x, y, 0}, {x + 0.0078125, y + 0.0078125, 2.5}}, names, vertices);
   }
-  Diagnostics d;
-  const TriangleMesh mesh = load_text(obj.str(), d);
+  const TriangleMesh mesh = load_text(obj.str());
   const Raycaster rays(mesh);
   for (std::uint64_t seed = 80; seed < 112; ++seed) {
     PathSettings s = settings_of(mesh, 120, seed);
@@ -615,11 +610,10 @@ TEST(RoomPath, TheWayBetweenPosesDoesNotPassThroughSurfaces) {
 }
 
 TEST(RoomPath, UpMayBeY) {
-  Diagnostics d;
   std::ostringstream obj;
   int vertices = 0;
   add_box(obj, {{-2, 0, -1.5}, {2, 2.5, 1.5}}, {"a", "b", "c", "d", "e", "f"}, vertices);
-  const TriangleMesh mesh = load_text(obj.str(), d);
+  const TriangleMesh mesh = load_text(obj.str());
   const Raycaster rays(mesh);
   PathSettings s = settings_of(mesh, 16, 1);
   s.up = {0, 1, 0};

@@ -36,13 +36,12 @@ NamedDataset small(const std::string& root, testkit::Settings settings = {}) {
 const std::string kShipped = std::string(SEMFIELD_SOURCE_DIR) + "/scenes/room";
 
 /// Problems of a scene just opened, and its frames against what any scene promises.
-void check_frames(const Dataset& room, const SceneInfo& info, int total) {
+void check_frames(const NamedDataset& room, const SceneInfo& info, int total) {
   ASSERT_EQ(static_cast<int>(info.frames.size()), total);
-  FrameBuffer f;
   std::set<std::int16_t> seen;
   std::int64_t hit = 0, pixels = 0;
   for (int i = 0; i < total; ++i) {
-    room.read(i, f);
+    const FrameBuffer f = room.read(i);
     for (std::size_t k = 0; k < f.label.size(); ++k) {
       ASSERT_GE(f.label[k], kVoid);
       ASSERT_LT(f.label[k], info.classes.valid_count());
@@ -70,8 +69,7 @@ TEST(ObjRoomShipped, IsRichSmallAndWithoutFault) {
 
 TEST(ObjRoomShipped, TrainAndTestFramesAreDistinctAndSpread) {
   NamedDataset room = small(kShipped, {{"width_px", "8"}, {"height_px", "6"}, {"frames", "30"}, {"test_frames", "10"}});
-  Diagnostics d;
-  const SceneInfo info = room.open(d);
+  const SceneInfo info = room.open();
   std::set<std::string> names;
   std::set<std::array<double, 6>> poses;
   int train = 0, test = 0;
@@ -115,12 +113,11 @@ TEST(ObjRoom, CamerasOfAFileAndBoundsFromWhatTheyMeet) {
     EXPECT_LE(info.bounds.hi[a], kRoom.hi[a] + 0.051);
   }
   EXPECT_NEAR(info.bounds.hi.y, 1.55, 1e-6);
-  FrameBuffer f;
-  room.read(2, f);
+  const FrameBuffer f = room.read(2);
   const Vec3d c = info.frames[2].world_from_camera.t, axis = info.frames[2].camera.direction(20.5, 20.5);
   EXPECT_NEAR(f.depth_m[20 * 40 + 20], room_truth(c, info.frames[2].world_from_camera.rotate(axis)).distance * axis.z,
               1e-5);
-  EXPECT_EQ(error_of([&] { room.read(6, f); }), "frame 6 of 6 was asked for");
+  EXPECT_EQ(error_of([&] { room.read(6); }), "frame 6 of 6 was asked for");
 }
 
 // Every side of the crate, and every wall, is an object of its own in the file.
@@ -128,12 +125,10 @@ TEST(ObjRoom, InstancesAreObjectsOfTheFileOrPieces) {
   const std::string folder = room_folder();
   const auto instances = [&](const std::string& are) {  // of each class
     NamedDataset room = small(folder, {{"cameras", "cameras.txt"}, {"instances", are}});
-    Diagnostics d;
-    const SceneInfo info = room.open(d);
+    const SceneInfo info = room.open();
     std::map<std::string, std::set<std::int32_t>> out;
-    FrameBuffer f;
     for (int i = 0; i < static_cast<int>(info.frames.size()); ++i) {
-      room.read(i, f);
+      const FrameBuffer f = room.read(i);
       for (std::size_t k = 0; k < f.label.size(); ++k)
         if (f.label[k] >= 0) out[info.classes.valid(f.label[k]).name].insert(f.instance[k]);
     }
@@ -152,8 +147,7 @@ TEST(ObjRoom, InstancesAreObjectsOfTheFileOrPieces) {
 
 TEST(ObjRoom, GivenNearFarAndBoundsHold) {
   NamedDataset room = small(room_folder(), {{"bounds", "-2,-1.5,0,0,1.5,2.5"}, {"near_m", "0.2"}, {"far_m", "7"}});
-  Diagnostics d;
-  const SceneInfo info = room.open(d);
+  const SceneInfo info = room.open();
   EXPECT_EQ(info.near_hint_m, 0.2);
   EXPECT_EQ(info.far_hint_m, 7);
   for (const FrameInfo& f : info.frames) EXPECT_LE(f.world_from_camera.t.x, 0.35);
@@ -168,19 +162,13 @@ TEST(ObjRoom, SettingsThatContradictAreNamed) {
 
 std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
 
-void expect_no_errors(const Diagnostics& d) {
-  for (const Diagnostic& x : d.all()) EXPECT_NE(x.severity, Severity::error) << x.text();
-}
-
 class ObjRoomOthers : public testing::TestWithParam<std::pair<const char*, int>> {};
 
 TEST_P(ObjRoomOthers, OpensWithItsClassesAndPoses) {
   const auto& [name, classes] = GetParam();
   if (!fs::exists(data(name))) GTEST_SKIP() << "the optional OBJ rooms are not at hand";
   NamedDataset room = small(data(name), {{"width_px", "64"}, {"height_px", "48"}, {"up", "y"}, {"frames", "16"}});
-  Diagnostics d;
-  const SceneInfo info = room.open(d);
-  expect_no_errors(d);
+  const SceneInfo info = room.open();
   EXPECT_EQ(info.classes.valid_count(), classes);
   check_frames(room, info, 18);
   expect_conventions_told(room, "poses agree with depth");
@@ -232,9 +220,9 @@ void round_trip(Dataset& source, int frames, const std::string& folder) {
     EXPECT_EQ(a.camera.cx, b.camera.cx);
     EXPECT_EQ(a.camera.cy, b.camera.cy);
     EXPECT_TRUE(b.has_depth && b.has_labels && b.has_instances);
-    FrameBuffer fa, fb;
+    FrameBuffer fa;
     source.read(i, fa);
-    replica.read(i, fb);
+    const FrameBuffer fb = replica.read(i);
     EXPECT_EQ(fa.rgb, fb.rgb);
     EXPECT_EQ(fa.label, fb.label);
     EXPECT_EQ(fa.instance, fb.instance);
@@ -285,22 +273,18 @@ TEST(Capture, VoidStaysVoidWhereTheTableHasNoVoid) {
   round_trip(wall, 2, fresh_folder("out"));
 }
 
-// The first frame of a captured folder.
+/// The first frame of a capture.
 FrameBuffer first_of(const std::string& folder) {
-  Diagnostics d;
   NamedDataset replica = captured(folder);
-  replica.open(d);
-  FrameBuffer f;
-  replica.read(0, f);
-  return f;
+  replica.open();
+  return replica.read(0);
 }
 
 TEST(Capture, DepthIsMended) {
   Wall wall;
   const std::string folder = fresh_folder("out");
   app::capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
-  const FrameBuffer f = first_of(folder);
-  EXPECT_NEAR(f.depth_m[0], 2 * wall.frame.depth_m[0], 1e-3);
+  EXPECT_NEAR(first_of(folder).depth_m[0], 2 * wall.frame.depth_m[0], 1e-3);
 }
 
 TEST(Capture, InstancesBeyondAByteAndDepthBeyondTheRange) {
@@ -373,10 +357,8 @@ class CastCacheTest : public testing::Test {
     settings.insert(
         {{"width_px", "24"}, {"height_px", "18"}, {"frames", "2"}, {"test_frames", "1"}, {"occlusion_rays", "1"}});
     NamedDataset room = small(kShipped, settings);
-    Diagnostics diagnostics;
-    const SceneInfo info = room.open(diagnostics);
-    std::vector<FrameBuffer> all(info.frames.size());
-    for (std::size_t i = 0; i < all.size(); ++i) room.read(static_cast<int>(i), all[i]);
+    std::vector<FrameBuffer> all(room.open().frames.size());
+    for (std::size_t i = 0; i < all.size(); ++i) all[i] = room.read(static_cast<int>(i));
     return all;
   }
   static void expect_equal(const std::vector<FrameBuffer>& a, const std::vector<FrameBuffer>& b) {

@@ -66,12 +66,15 @@ inline TriangleMesh load_text(const std::string& text, Diagnostics& diagnostics)
   return load_obj(path, diagnostics);
 }
 
-inline TriangleMesh room_mesh() {
+/// A sound one, about which there is nothing to say.
+inline TriangleMesh load_text(const std::string& text) {
   Diagnostics diagnostics;
-  TriangleMesh mesh = load_text(room_text(), diagnostics);
-  EXPECT_TRUE(diagnostics.all().empty());
+  TriangleMesh mesh = load_text(text, diagnostics);
+  EXPECT_EQ(all_said(diagnostics), "");
   return mesh;
 }
+
+inline TriangleMesh room_mesh() { return load_text(room_text()); }
 
 /// What a ray meets in that room.
 struct Truth {
