@@ -588,25 +588,16 @@ TEST(Bf16Layers, RefuseShapesThatDoNotFit) {
 
 struct Operands {
   Operands(std::int64_t rows, std::int32_t in, std::int32_t out, bool integers)
-      : x(activation_bytes<Bf16>(rows, in) / sizeof(Bf16)),
-        y(activation_bytes<Bf16>(rows, out) / sizeof(Bf16)),
-        weight(static_cast<std::size_t>(in * out)),
-        start(static_cast<std::size_t>(rows * out)) {
-    std::uint64_t seed = 1;
-    const auto value = [&](std::size_t i) {
-      const double u = 2 * uniform01({seed, 0, 1}, i) - 1;
-      return static_cast<float>(integers ? std::round(15 * u) : u);
-    };
-    layer.x = activation_rows<Bf16>(reinterpret_cast<std::byte*>(x.data()), rows, in);
-    layer.y = activation_rows<Bf16>(reinterpret_cast<std::byte*>(y.data()), rows, out);
-    for (std::int64_t m = 0; m < rows; ++m) {
-      for (std::int32_t k = 0; k < in; ++k)
-        x[m * layer.x.row_stride + k] = SEMFIELD_ISA::rounded(value(static_cast<std::size_t>(m * in + k)));
-    }
-    for (std::vector<float>* values : {&weight, &start}) {
-      ++seed;
-      for (std::size_t i = 0; i < values->size(); ++i) (*values)[i] = value(i);
-    }
+      : x(rows, in),
+        y(rows, out),
+        weight(random_values<float>(std::int64_t{in} * out, 2)),
+        start(random_values<float>(rows * out, 3)) {
+    std::vector<float> given = random_values<float>(rows * in, 1);
+    for (std::vector<float>* values : {&given, &weight, &start})
+      for (float& value : *values) value = integers ? std::round(15 * value) : value;
+    round_rows(View<const float>(given.data(), rows, in), x.view());
+    layer.x = x.view();
+    layer.y = y.view();
     layer.start = View<const float>(start.data(), rows, out);
     layer.relu = true;
     words.resize(static_cast<std::size_t>(on_tiles::packed_words(in, out)));
@@ -614,7 +605,7 @@ struct Operands {
         in, out, [&](std::int64_t k, std::int64_t n) { return weight[k * out + n]; }, words.data());
     layer.weight = {words.data(), in, out};
   }
-  std::vector<Bf16> x, y;
+  Rows x, y;
   std::vector<float> weight, start;
   std::vector<std::uint32_t> words;
   Layer<Bf16> layer;
@@ -646,7 +637,8 @@ TEST(LayersOnTiles, HaveTheBitsOfTheProgramsOwn) {
     Operands plain(rows, in, out, false), own(rows, in, out, false);
     on_tiles::layer<Plain>(plain.layer);
     apply(own.layer);
-    EXPECT_EQ(std::memcmp(plain.y.data(), own.y.data(), plain.y.size() * sizeof(Bf16)), 0)
+    const View<Bf16> y = plain.y.view();
+    EXPECT_EQ(std::memcmp(y.data, own.y.view().data, static_cast<std::size_t>(y.rows * y.row_stride) * sizeof(Bf16)), 0)
         << rows << " x " << in << " x " << out;
     std::vector<float> expected(plain.weight), found(plain.weight);
     on_tiles::weight_gradient<Plain>(plain.layer.x, plain.layer.y, View<float>(expected.data(), in, out));

@@ -5,12 +5,12 @@
 
 #include <algorithm>
 
+#include "adam_rows.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "losses/loss_list.h"
 #include "model/compositor.h"
-#include "model/optim/adam.h"
 #include "rays_of_slabs.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
@@ -22,6 +22,7 @@
 namespace semfield {
 namespace {
 
+using testing::AdamRows;
 using testing::RayBuffers;
 using testing::TestNumbers;
 
@@ -197,24 +198,10 @@ TEST(LossList, ALossMovesHeadsOrThePassAndNotBoth) {
 
 // Adam: bad gradients, ranges and threads. Cases E01 to E08 of tests/numerics compare it with long double.
 
-template <class Real>
-struct State {
-  explicit State(std::int64_t rows, std::int32_t cols = 1)
-      : value(static_cast<std::size_t>(rows * cols)), grad(value), m(value), v(value), rows_(rows), cols_(cols) {}
-  View<Real> view(std::vector<Real>& x) { return View<Real>(x.data(), rows_, cols_); }
-  void dense(const AdamStep& step) { adam_dense<Real>(step, view(value), view(grad), view(m), view(v), 0, rows_); }
-  std::int64_t touched(const AdamStep& step) {
-    return adam_touched<Real>(step, view(value), view(grad), view(m), view(v), 0, rows_);
-  }
-  std::vector<Real> value, grad, m, v;
-  std::int64_t rows_;
-  std::int32_t cols_;
-};
-
 TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
   for (const std::int32_t cols : {1, 2, 3, 4, 8}) {
     constexpr std::int64_t kRows = 1003;
-    State<float> whole(kRows, cols), ranges(kRows, cols), dense(kRows, cols);
+    AdamRows<float> whole(kRows, cols), ranges(kRows, cols), dense(kRows, cols);
     std::int64_t want_touched = 0;
     for (std::int64_t r = 0; r < kRows; ++r) {
       const bool hit = r % 5 == 1 || (r > 500 && r < 600);
@@ -231,15 +218,13 @@ TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
         }
       }
     }
-    const State<float> before = whole;
+    const AdamRows<float> before = whole;
     const AdamStep step = adam_step({}, 1e-2, 7);
     EXPECT_EQ(whole.touched(step), want_touched);
     dense.dense(step);
     std::int64_t touched = 0;
     const std::vector<std::int64_t> cuts{0, 1, 4, 333, 340, 1001, kRows};
-    for (std::size_t k = 0; k + 1 < cuts.size(); ++k)
-      touched += adam_touched<float>(step, ranges.view(ranges.value), ranges.view(ranges.grad), ranges.view(ranges.m),
-                                     ranges.view(ranges.v), cuts[k], cuts[k + 1] - cuts[k]);
+    for (std::size_t k = 0; k + 1 < cuts.size(); ++k) touched += ranges.touched(step, cuts[k], cuts[k + 1] - cuts[k]);
     EXPECT_EQ(touched, want_touched);
     EXPECT_EQ(whole.value, ranges.value) << cols;
     EXPECT_EQ(whole.m, ranges.m);
@@ -249,7 +234,7 @@ TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
       const bool hit = r % 5 == 1 || (r > 500 && r < 600);
       for (std::int32_t c = 0; c < cols; ++c) {
         const auto i = static_cast<std::size_t>(r * cols + c);
-        const State<float>& source = hit ? dense : before;
+        const AdamRows<float>& source = hit ? dense : before;
         ASSERT_EQ(whole.value[i], source.value[i]) << cols << " columns, row " << r;
         ASSERT_EQ(std::signbit(whole.value[i]), std::signbit(source.value[i]));
         ASSERT_EQ(whole.m[i], source.m[i]);
@@ -302,7 +287,7 @@ TEST(Adam, TheFirstNonFiniteIsTheSameForAnyThreads) {
 
 TEST(Adam, SameBitsForAnyRangesAndThreads) {
   constexpr std::int64_t kRows = 100003;
-  State<float> whole(kRows, 2), ranges(kRows, 2), threads(kRows, 2), lazy(kRows, 2), lazy_threads(kRows, 2);
+  AdamRows<float> whole(kRows, 2), ranges(kRows, 2), threads(kRows, 2), lazy(kRows, 2), lazy_threads(kRows, 2);
   for (std::size_t i = 0; i < 2 * kRows; ++i) {
     const float g = i % 7 < 2 ? 0.f : uniform01({9, 0, 1}, i) - 0.5f;
     for (auto* s : {&whole, &ranges, &threads, &lazy, &lazy_threads}) s->grad[i] = g;
@@ -310,17 +295,14 @@ TEST(Adam, SameBitsForAnyRangesAndThreads) {
   const AdamStep step = adam_step({}, 1e-3, 5);
   whole.dense(step);
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 1}, {1, 77776}, {77777, kRows - 77777}})
-    adam_dense<float>(step, ranges.view(ranges.value), ranges.view(ranges.grad), ranges.view(ranges.m),
-                      ranges.view(ranges.v), begin, count);
+    ranges.dense(step, begin, count);
   const std::int64_t touched = lazy.touched(step);
-  const int before = thread_count();
-  set_thread_count(2);
-  const auto tensor = [](State<float>& of, bool touched_only) {
+  const ThreadScope scope(2);
+  const auto tensor = [](AdamRows<float>& of, bool touched_only) {
     return AdamTensor<float>{of.value.data(), of.grad.data(), of.m.data(), of.v.data(), kRows, 2, touched_only};
   };
   const std::array tensors{tensor(threads, false), tensor(lazy_threads, true)};
   adam_update<float>(&step, {tensors.data(), 2, 4 * kRows});
-  set_thread_count(before);
   EXPECT_LT(touched, kRows);
   EXPECT_EQ(whole.value, ranges.value);
   EXPECT_EQ(whole.value, threads.value);

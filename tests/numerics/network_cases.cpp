@@ -13,13 +13,13 @@
 #include "loading/frame_files.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
-#include "model/optim/adam.h"
 #include "named_case.h"
 #include "plugin/head.h"
 #include "rooms.h"
 #include "scene/scene.h"
 #include "testkit/compare.h"
 #include "tests/encoder_box.h"
+#include "tests/model/adam_rows.h"
 #include "tests/model/rays_of_slabs.h"
 
 namespace semfield::numerics {
@@ -196,40 +196,38 @@ IN_BOTH_PRECISIONS(one_class) {
   }
 }
 
-void one_labelled(CaseRun& run) {
+IN_BOTH_PRECISIONS(one_labelled) {
   constexpr std::int64_t kRays = 1024;
   constexpr std::int32_t kClasses = 28;
-  in_both_precisions(run, [&]<class Real>(Real) {
-    Numbers numbers(31);
-    std::vector<Real> logits, one;
-    for (std::int64_t i = 0; i < kRays * kClasses; ++i) logits.push_back(static_cast<Real>(numbers.in(-5, 5)));
-    std::vector<std::int16_t> label(kRays, -1);
-    label[700] = 9;
-    one.assign(logits.begin() + 700 * kClasses, logits.begin() + 701 * kClasses);
-    const Softmax want(one);
-    SemanticTargets targets{.hard = {label.data(), kRays, 1}};
-    const std::pair<SemanticNormalisation, long double> kinds[] = {{SemanticNormalisation::sum, 1},
-                                                                   {SemanticNormalisation::mean_labelled, 1},
-                                                                   {SemanticNormalisation::mean_rays, kRays}};
-    double first = 0;
-    for (const auto& [kind, divisor] : kinds) {
-      const double normaliser = semantic_normaliser(kind, labelled_weight(targets, {}), kRays);
-      run.relative(normaliser, divisor, 0, "normaliser");
-      std::vector<Real> gradient(logits.size(), Real(-9));
-      const SemanticLoss loss = semantic_cross_entropy<Real>({logits.data(), kRays, kClasses}, targets, {}, normaliser,
-                                                             1.0, {gradient.data(), kRays, kClasses});
-      const double value = loss.sum / normaliser;
-      run.expect(loss.labelled == 1, "one ray is labelled");
-      run.relative(value, want.surprise(one, 9) / divisor, tolerance_of<Real>(1e-6), "loss");
-      if (first == 0) first = value;
-      run.near(value * static_cast<double>(divisor), first, 0, "ratio 1 : 1 : 1/1,024");
-      for (std::size_t i = 0; i < gradient.size(); ++i) {
-        const std::size_t ray = i / kClasses;
-        const long double slope = ray == 700 ? want.slope(i % kClasses, 9) / divisor : 0.0L;
-        run.relative(gradient[i], slope, ray == 700 ? tolerance_of<Real>(1e-6) : 0.0, "gradient");
-      }
+  Numbers numbers(31);
+  std::vector<Real> logits, one;
+  for (std::int64_t i = 0; i < kRays * kClasses; ++i) logits.push_back(static_cast<Real>(numbers.in(-5, 5)));
+  std::vector<std::int16_t> label(kRays, -1);
+  label[700] = 9;
+  one.assign(logits.begin() + 700 * kClasses, logits.begin() + 701 * kClasses);
+  const Softmax want(one);
+  SemanticTargets targets{.hard = {label.data(), kRays, 1}};
+  const std::pair<SemanticNormalisation, long double> kinds[] = {{SemanticNormalisation::sum, 1},
+                                                                 {SemanticNormalisation::mean_labelled, 1},
+                                                                 {SemanticNormalisation::mean_rays, kRays}};
+  double first = 0;
+  for (const auto& [kind, divisor] : kinds) {
+    const double normaliser = semantic_normaliser(kind, labelled_weight(targets, {}), kRays);
+    run.relative(normaliser, divisor, 0, "normaliser");
+    std::vector<Real> gradient(logits.size(), Real(-9));
+    const SemanticLoss loss = semantic_cross_entropy<Real>({logits.data(), kRays, kClasses}, targets, {}, normaliser,
+                                                           1.0, {gradient.data(), kRays, kClasses});
+    const double value = loss.sum / normaliser;
+    run.expect(loss.labelled == 1, "one ray is labelled");
+    run.relative(value, want.surprise(one, 9) / divisor, tolerance_of<Real>(1e-6), "loss");
+    if (first == 0) first = value;
+    run.near(value * static_cast<double>(divisor), first, 0, "ratio 1 : 1 : 1/1,024");
+    for (std::size_t i = 0; i < gradient.size(); ++i) {
+      const std::size_t ray = i / kClasses;
+      const long double slope = ray == 700 ? want.slope(i % kClasses, 9) / divisor : 0.0L;
+      run.relative(gradient[i], slope, ray == 700 ? tolerance_of<Real>(1e-6) : 0.0, "gradient");
     }
-  });
+  }
 }
 
 IN_BOTH_PRECISIONS(soft_labels) {
@@ -904,24 +902,8 @@ struct Reference {
   }
 };
 
-/// `count` rows of one tensor, each a parameter of its own.
 template <class Real>
-struct Parameters {
-  explicit Parameters(std::size_t rows, std::int32_t width = 1)
-      : value(rows * static_cast<std::size_t>(width)), grad(value), m(value), v(value), cols(width) {}
-  View<Real> view(std::vector<Real>& x) { return {x.data(), static_cast<std::int64_t>(x.size()) / cols, cols}; }
-  void dense(const AdamStep& step) {
-    adam_dense<Real>(step, view(value), view(grad), view(m), view(v), 0, view(value).rows);
-  }
-  std::int64_t touched(const AdamStep& step) {
-    return adam_touched<Real>(step, view(value), view(grad), view(m), view(v), 0, view(value).rows);
-  }
-  std::vector<Real> value, grad, m, v;
-  std::int32_t cols;
-};
-
-template <class Real>
-void check(CaseRun& run, const Parameters<Real>& got, std::size_t i, const Reference& want, double tolerance,
+void check(CaseRun& run, const testing::AdamRows<Real>& got, std::size_t i, const Reference& want, double tolerance,
            const std::string& what) {
   run.measure(static_cast<double>(std::abs(long_double(got.value[i]) - want.x) / want.path), tolerance, what);
 }
@@ -932,7 +914,7 @@ IN_BOTH_PRECISIONS(adam_sizes) {
   const AdamParams params;
   constexpr int kSizes = 39;  // 1e-20 .. 1e18: from 1e19 on a step is refused (E08)
   for (const bool sparse : {false, true}) {
-    Parameters<Real> state(kSizes);
+    testing::AdamRows<Real> state(kSizes);
     std::vector<Reference> want(kSizes);
     Numbers numbers(61);
     for (std::int64_t step = 0; step < 1000; ++step) {
@@ -962,7 +944,7 @@ IN_BOTH_PRECISIONS(adam_sparse) {
   for (const std::int32_t cols : {1, 2, 8, 3}) {  // widths with kernels of their own, and one without
     constexpr std::size_t kRows = 10;
     const auto width = static_cast<std::size_t>(cols);
-    Parameters<Real> lazy(kRows, cols), dense(kRows, cols);
+    testing::AdamRows<Real> lazy(kRows, cols), dense(kRows, cols);
     std::vector<Reference> want_lazy(lazy.value.size()), want_dense(lazy.value.size());
     Numbers numbers(62);
     for (std::int64_t step = 0; step < 6000; ++step) {
@@ -999,7 +981,7 @@ IN_BOTH_PRECISIONS(adam_epsilon) {
   for (const double epsilon : {1e-15, 1e-8}) {
     AdamParams params{.epsilon = epsilon};
     constexpr int kSizes = 14;
-    Parameters<Real> state(kSizes);
+    testing::AdamRows<Real> state(kSizes);
     std::vector<Reference> want(kSizes);
     for (std::int64_t step = 0; step < 300; ++step) {
       const Corrections correction(params, step);
@@ -1028,7 +1010,7 @@ IN_BOTH_PRECISIONS(adam_zero) {
                                  Real(1) / Real(3),
                                  Real(-7e8)};
   for (const std::int32_t cols : {1, 2, 4, 8}) {
-    Parameters<Real> dense(8 / static_cast<std::size_t>(cols), cols), sparse(8 / static_cast<std::size_t>(cols), cols);
+    testing::AdamRows<Real> dense(8 / cols, cols), sparse(8 / cols, cols);
     dense.value = sparse.value = starts;
     for (std::size_t i = 0; i < 8; ++i) sparse.m[i] = sparse.v[i] = Real(0.25);  // rows hit before, not now
     std::int64_t touched = 0;
@@ -1094,7 +1076,7 @@ void counters(CaseRun& run) {
   }
   run.row("fp32");
   // One step of a parameter that has seen 2^31: the corrections are 1, so the plain moments count.
-  Parameters<float> state(1);
+  testing::AdamRows<float> state(1);
   state.grad[0] = 0.5f;
   state.m[0] = 0.25f;
   state.v[0] = 0.0625f;
