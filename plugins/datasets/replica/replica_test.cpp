@@ -13,14 +13,12 @@ using namespace testing_room;
 TEST(Replica, PosesDoNotDependOnTheLocale) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);
-  Diagnostics d;
-  const auto open = [&] { return NamedDataset("replica", {{"root", folder}}).open(d); };
+  const auto open = [&] { return NamedDataset("replica", {{"root", folder}}).open(); };
   const SceneInfo plain = open();
   if (std::setlocale(LC_ALL, "de_DE.UTF-8") == nullptr)
     GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed here: no comma was tried";
   const SceneInfo german = open();
   std::setlocale(LC_ALL, "C");
-  EXPECT_FALSE(d.has_errors());
   ASSERT_EQ(german.frames.size(), plain.frames.size());
   for (std::size_t i = 0; i < plain.frames.size(); ++i) {
     const Pose &a = german.frames[i].world_from_camera, &b = plain.frames[i].world_from_camera;

@@ -42,27 +42,18 @@ struct Scene {
   void index(const std::string& head, const std::vector<std::string>& frames) const {
     plain_write(folder + "/transforms.json", index_of(head, frames));
   }
-  SceneInfo open(Diagnostics& d) const { return NamedDataset("transforms_json", params).open(d); }
   // Without an error.
-  SceneInfo open() const {
-    Diagnostics d;
-    const SceneInfo info = open(d);
-    EXPECT_FALSE(d.has_errors()) << all_said(d);
-    return info;
-  }
+  SceneInfo open() const { return NamedDataset("transforms_json", params).open(); }
   Diagnostics findings() const {
     Diagnostics d;
-    open(d);
+    NamedDataset("transforms_json", params).open(d);
     return d;
   }
   FrameBuffer read(int frame = 0, const std::vector<std::string>& wanted = {}) const {
     NamedDataset scene("transforms_json", params);
-    Diagnostics d;
-    const SceneInfo info = scene.open(d);
-    EXPECT_FALSE(d.has_errors()) << all_said(d);
     FrameBuffer out;
     out.wanted = wanted;
-    if (frame < std::ssize(info.frames)) scene.read(frame, out);
+    if (frame < std::ssize(scene.open().frames)) scene.read(frame, out);
     return out;
   }
 };
