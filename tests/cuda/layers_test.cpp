@@ -89,9 +89,8 @@ const std::vector<Shape> kShapes{{1, 1, 1},
 template <class Act, class Out>
 void expect_products(double tolerance, bool plain) {
   for (const Shape& s : kShapes) {
-    SCOPED_TRACE(std::to_string(s.m) + " x " + std::to_string(s.n) + " x " + std::to_string(s.k) + ", transposed " +
-                 std::to_string(s.transpose_a) + std::to_string(s.transpose_b) + ", add " + std::to_string(s.add) +
-                 ", padding " + std::to_string(s.padding));
+    SCOPED_TRACE(::testing::Message() << s.m << " x " << s.n << " x " << s.k << ", transposed " << s.transpose_a
+                                      << s.transpose_b << ", add " << s.add << ", padding " << s.padding);
     Case<Act, Out> c(s);
     if (plain) {
       cuda::simple_product(c.product);

@@ -6,6 +6,7 @@
 #include "cuda/ranks/gradient_sums.h"
 #include "execution/ranks_executor.h"
 #include "session/trainer.h"
+#include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/says.h"
@@ -141,15 +142,11 @@ void expect_equal_steps(const Steps& ranks, const Steps& alone, const std::strin
   for (std::size_t i = 0; i < kMostLossTerms; ++i)
     expect_near(ranks.losses[0].terms[i], alone.losses[0].terms[i], kFirst, what + " term " + std::to_string(i));
   ASSERT_EQ(ranks.gradients.size(), alone.gradients.size());
-  for (std::size_t t = 0; t < alone.gradients.size(); ++t) {
-    double largest = 0, off = 0;
-    for (std::size_t e = 0; e < alone.gradients[t].size(); ++e) {
-      const double want = alone.gradients[t][e], got = ranks.gradients[t][e];
-      largest = std::max(largest, std::abs(want));
-      off = std::max(off, std::abs(got - want));
-    }
-    EXPECT_LE(off, 2e-3 * largest + 1e-12) << what << ", tensor " << t << ", largest " << largest;
-  }
+  for (std::size_t t = 0; t < alone.gradients.size(); ++t)
+    EXPECT_EQ(testkit::compare(testing::host_view(ranks.gradients[t], 1), testing::host_view(alone.gradients[t], 1),
+                               2e-3, 5e-10),
+              "")
+        << what << ", tensor " << t;
 }
 
 using CudaRanks = testing::DeviceTest;

@@ -645,9 +645,7 @@ struct Lessons {
 };
 
 double largest_difference(const std::vector<float>& a, const std::vector<float>& b) {
-  double largest = 0;
-  for (std::size_t i = 0; i < a.size(); ++i) largest = std::max(largest, std::abs(double{a[i]} - b[i]));
-  return largest;
+  return testkit::difference(host_view(a, 1), host_view(b, 1)).max_abs;
 }
 
 void restart_semantics(ParamStore<float>& store) {

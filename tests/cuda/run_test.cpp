@@ -16,6 +16,7 @@
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "scene/scene.h"
 #include "session/checkpoint.h"
+#include "testkit/compare.h"
 #include "tests/session/gradient_hook.h"
 #include "tests/session/step_configs.h"
 
@@ -45,6 +46,8 @@ void expect_near(double cuda, double cpu, double relative, const std::string& wh
   EXPECT_NEAR(cuda, cpu, relative * std::max(1e-6, std::abs(cpu))) << what;
 }
 
+View<const float> moments(const Tensor<float>& tensor) { return {tensor.moment1.data(), tensor.size(), 1}; }
+
 // The first moment after the first step is (1 - beta1) times the gradient.
 void expect_equal_gradients(const Training& cuda, const Training& cpu, double tolerance, const std::string& what) {
   const auto& a = cuda.session.pipeline->store().all();
@@ -52,13 +55,8 @@ void expect_equal_gradients(const Training& cuda, const Training& cpu, double to
   ASSERT_EQ(a.size(), b.size());
   for (std::size_t i = 0; i < a.size(); ++i) {
     if (!b[i].learned()) continue;
-    double largest = 0, off = 0;
-    for (std::int64_t e = 0; e < b[i].size(); ++e) {
-      largest = std::max<double>(largest, std::abs(b[i].moment1.data()[e]));
-      off = std::max(
-          off, std::abs(static_cast<double>(a[i].moment1.data()[e]) - static_cast<double>(b[i].moment1.data()[e])));
-    }
-    EXPECT_LE(off, tolerance * largest + 1e-12) << what << ": gradient of " << b[i].name << ", largest " << largest;
+    EXPECT_EQ(testkit::compare(moments(a[i]), moments(b[i]), tolerance, 1e-12 / tolerance), "")
+        << what << ": gradient of " << b[i].name;
   }
 }
 
@@ -125,14 +123,8 @@ TEST_F(CudaRun, TheFusedNetworkTakesTheSemanticLayerWithIt) {
         const auto twin = std::find_if(of_fused.begin(), of_fused.end(),
                                        [&](const auto& tensor) { return tensor.name == of_layers[i].name; });
         ASSERT_NE(twin, of_fused.end()) << of_layers[i].name;
-        double off = 0, norm = 0;
-        for (std::int64_t e = 0; e < of_layers[i].size(); ++e) {
-          const double want = of_layers[i].moment1.data()[e], got = twin->moment1.data()[e];
-          off += (got - want) * (got - want);
-          norm += want * want;
-        }
-        EXPECT_GT(norm, 0) << of_layers[i].name;
-        EXPECT_LE(std::sqrt(off), kGradient * std::sqrt(norm)) << of_layers[i].name;
+        EXPECT_EQ(testkit::compare_norms(moments(*twin), moments(of_layers[i]), kGradient), "") << of_layers[i].name;
+        EXPECT_GT(testkit::difference(moments(*twin), moments(of_layers[i])).max_want, 0) << of_layers[i].name;
       }
     }
   }
@@ -231,27 +223,21 @@ TEST_F(CudaRun, RendersWhatTheProcessorRenders) {
     copy_values(cuda.session.pipeline->store(), cpu.session.pipeline->store());
     cpu.session.pipeline->executor().upload(100);
     const RenderedFrame a = draw(cuda), b = draw(cpu);
-    double worst = 0, worst_depth = 0;
+    const auto difference = [](const std::vector<float>& got, const std::vector<float>& want) {
+      return testkit::difference(testing::host_view(got, 1), testing::host_view(want, 1));
+    };
     std::size_t other_label = 0;
-    for (std::size_t i = 0; i < a.rgb.size(); ++i) worst = std::max(worst, std::abs(double{a.rgb[i]} - b.rgb[i]));
-    for (std::size_t i = 0; i < a.depth_m.size(); ++i) {
-      worst_depth = std::max(worst_depth, std::abs(double{a.depth_m[i]} - b.depth_m[i]));
-      other_label += a.label[i] != b.label[i] ? 1 : 0;
-    }
-    EXPECT_LT(worst, 2e-2);  // the CPU stops rays early, the device does not
-    EXPECT_LT(worst_depth, 5e-2);
+    for (std::size_t i = 0; i < a.label.size(); ++i) other_label += a.label[i] != b.label[i] ? 1 : 0;
+    EXPECT_LT(difference(a.rgb, b.rgb).max_abs, 2e-2);  // the CPU stops rays early, the device does not
+    EXPECT_LT(difference(a.depth_m, b.depth_m).max_abs, 5e-2);
     EXPECT_LE(other_label, a.label.size() / 200);
     ASSERT_EQ(a.channels.size(), cuda.session.config.heads.size());
     for (std::size_t c = 0; c < a.channels.size(); ++c) {
       const std::vector<float>&got = a.channels[c].values, &want = b.channels[c].values;
       ASSERT_EQ(got.size(), want.size());
-      double off = 0, largest = 0;
-      for (std::size_t i = 0; i < want.size(); ++i) {
-        off = std::max(off, std::abs(double{got[i]} - want[i]));
-        largest = std::max(largest, std::abs(double{want[i]}));
-      }
-      EXPECT_GT(largest, 0.1);
-      EXPECT_LT(off, 0.02 * largest);
+      const testkit::Difference off = difference(got, want);
+      EXPECT_GT(off.max_want, 0.1);
+      EXPECT_LT(off.max_abs, 0.02 * off.max_want);
     }
     const auto classes = static_cast<std::size_t>(cuda.session.classes());
     ASSERT_EQ(a.probability.size(), classes * a.label.size());

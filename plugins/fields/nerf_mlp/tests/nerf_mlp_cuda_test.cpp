@@ -32,11 +32,11 @@ struct Network {
                       .precision = device == Device::cpu ? Precision::fp32 : precision};
   }
   std::string text() const {
-    return std::to_string(params.depth) + " x " + std::to_string(params.width) + ", skip " +
-           std::to_string(params.skip_at) + ", view " + std::to_string(params.view_width) + ", position " +
-           std::to_string(position_dims) + ", direction " + std::to_string(direction_dims) + ", fold " +
-           std::to_string(fold) + ", once " + std::to_string(once) + ", bf16 " +
-           std::to_string(precision == Precision::bf16);
+    ::testing::Message text;
+    text << params.depth << " x " << params.width << ", skip " << params.skip_at << ", view " << params.view_width
+         << ", position " << position_dims << ", direction " << direction_dims << ", fold " << fold << ", once " << once
+         << ", bf16 " << (precision == Precision::bf16);
+    return text.GetString();
   }
 };
 
