@@ -33,31 +33,48 @@ struct Strides {
 };
 inline constexpr Strides kStrides[] = {{0, 0}, {1, 1}, {2, 5}};
 
-/// y and dx of both twins; errors relative to the largest value, of dx to the largest slope of any output.
-inline void expect_twins(const EncoderTwins& twins, const std::vector<double>& x, Strides strides, double tolerance,
-                         double dx_tolerance) {
-  const Encoder<float>& device = *twins.device;
-  const Encoder<double>& host = *twins.host;
+/// y, dx and the gradients of tensors of both twins, as fast as it can and in deterministic mode; errors relative to
+/// the largest value, of dx to the largest slope of any output.
+inline void expect_twins(const Encoder<float>& device, const Encoder<double>& host, const std::vector<double>& x,
+                         const std::vector<float>& dy, Strides strides, double tolerance, double dx_tolerance) {
   const EncoderTraits traits = host.traits();
   const auto rows = static_cast<std::int64_t>(x.size()) / traits.in_dims;
-  const std::vector<float> dy = random_floats(rows * traits.out_dims, 7, -1, 1);
+  const testkit::TensorBox<double> oracle(host, 3, 1);
   std::vector<double> y64(dy.size()), dx64(x.size()), dy64 = widen(dy);
   const View<const double> x_host = host_view(x, traits.in_dims);
-  host.forward({}, {}, x_host, host_view(y64, traits.out_dims));
-  host.backward({}, {}, x_host, host_view(std::as_const(dy64), traits.out_dims), host_view(dx64, traits.in_dims));
+  Workspace workspace;
+  StepContext host_ctx{.workspace = &workspace};
+  host.forward(host_ctx, oracle.tensors(), x_host, host_view(y64, traits.out_dims));
+  host.backward(host_ctx, oracle.tensors(), x_host, host_view(std::as_const(dy64), traits.out_dims),
+                host_view(dx64, traits.in_dims));
 
   DeviceLaunch launch(true);
   StepContext ctx{.workspace = &launch.arena()};
+  const DeviceTensors there(testkit::TensorBox<float>(device, 3, 1));
   const DeviceMatrix<double> x_device(x, traits.in_dims, traits.in_dims + strides.x);
   const DeviceMatrix<float> dy_device(dy, traits.out_dims, traits.out_dims + strides.y);
   const DeviceMatrix<float> y(rows, traits.out_dims, traits.out_dims + strides.y);
   const DeviceMatrix<float> dx(rows, traits.in_dims, traits.in_dims + strides.x);
-  device.forward(ctx, {}, x_device.read_only(), y.view());
-  device.backward(ctx, {}, x_device.read_only(), dy_device.read_only(), dx.view());
+  device.forward(ctx, there.tensors(), x_device.read_only(), y.view());
   EXPECT_EQ(near(y, y64, tolerance, 1), "");
-  EXPECT_EQ(near(dx, dx64, dx_tolerance), "");
-  EXPECT_EQ(y.surroundings() + dx.surroundings(), "");
+  for (const bool deterministic : {false, true}) {
+    SCOPED_TRACE(deterministic ? "deterministic" : "in any order");
+    launch.set_deterministic(deterministic);
+    there.clear_gradients();
+    device.backward(ctx, there.tensors(), x_device.read_only(), dy_device.read_only(), dx.view());
+    for (std::size_t i = 0; i < there.grads.size(); ++i)
+      EXPECT_EQ(near(*there.grads[i], oracle.grad(i), dx_tolerance), "") << "tensor " << i;
+    EXPECT_EQ(near(dx, dx64, dx_tolerance), "");
+  }
+  EXPECT_EQ(y.surroundings() + dx.surroundings() + there.surroundings(), "");
   EXPECT_EQ(launch.take_fault(), std::nullopt);
+}
+inline void expect_twins(const EncoderTwins& twins, const std::vector<double>& x, Strides strides, double tolerance,
+                         double dx_tolerance) {
+  const EncoderTraits traits = twins.host->traits();
+  const std::int64_t rows = static_cast<std::int64_t>(x.size()) / traits.in_dims;
+  expect_twins(*twins.device, *twins.host, x, random_floats(rows * traits.out_dims, 7, -1, 1), strides, tolerance,
+               dx_tolerance);
 }
 
 /// The same for batches of many sizes, the largest of `most` rows, and of every stride; `x_of` gives their coordinates.

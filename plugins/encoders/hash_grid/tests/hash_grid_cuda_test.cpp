@@ -5,7 +5,7 @@
 #include "core/error.h"
 #include "cuda/kernels/kernels.h"
 #include "encoders/hash_grid/hash_grid.h"
-#include "tests/cuda/device_fixture.h"
+#include "tests/cuda/encoder_bench.h"
 
 namespace semfield {
 namespace {
@@ -84,44 +84,13 @@ std::vector<float> gradients(std::int64_t rows, std::int32_t cols, std::uint64_t
 
 StepContext context(DeviceLaunch& launch) { return StepContext{.workspace = &launch.arena()}; }
 
-/// Both twins over the same rows. `y_stride`: beyond the columns, 0: 16-byte accesses are possible.
-void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t y_stride) {
-  const HashGrid<float> device = make<float>(params, Device::cuda);
+/// Both twins over the same rows. `stride`: beyond the columns, 0: 16-byte accesses are possible. Entries lie below
+/// 1.0001 in magnitude; weights and sums err by a few units in the last place, gradients are sums of up to 8 rows'
+/// worth of addends an entry in fp32.
+void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t stride) {
   const HashGrid<double> host = make<double>(params, Device::cpu);
-  const std::int32_t cols = host.traits().out_dims;
-  const testkit::TensorBox<float> box(device, 3, 1);
-  const testkit::TensorBox<double> oracle(host, 3, 1);
-  const std::vector<double> x = points(rows, 5);
-  const std::vector<float> dy = gradients(rows, cols, 6);
-  const std::vector<double> dy64 = testing::widen(dy);
-  std::vector<double> y64(dy.size()), dx64(x.size());
-  Workspace workspace;
-  StepContext host_ctx{.workspace = &workspace};
-  host.forward(host_ctx, oracle.tensors(), testing::host_view(x, 3), testing::host_view(y64, cols));
-  host.backward(host_ctx, oracle.tensors(), testing::host_view(x, 3), testing::host_view(dy64, cols),
-                testing::host_view(dx64, 3));
-
-  DeviceLaunch launch(true);
-  DeviceTensors tables(box);
-  const DeviceMatrix<double> x_device(x, 3, 3 + y_stride);
-  const DeviceMatrix<float> dy_device(dy, cols, cols + y_stride);
-  const DeviceMatrix<float> y(rows, cols, cols + y_stride);
-  const DeviceMatrix<float> dx(rows, 3, 3 + y_stride);
-  device.forward(context(launch), tables.tensors(), x_device.read_only(), y.view());
-  // Entries below 1.0001 in magnitude; weights and sums err by a few units in the last place.
-  EXPECT_EQ(near(y, y64, 1e-6, 1), "");
-  for (const bool deterministic : {false, true}) {
-    SCOPED_TRACE(deterministic ? "fixed point" : "any order");
-    launch.set_deterministic(deterministic);
-    tables.clear_gradients();
-    device.backward(context(launch), tables.tensors(), x_device.read_only(), dy_device.read_only(), dx.view());
-    // Sums of up to 8 rows' worth of addends an entry in fp32.
-    for (std::size_t l = 0; l < tables.grads.size(); ++l)
-      EXPECT_EQ(near(*tables.grads[l], oracle.grad(l), 1e-5), "") << "level " << l;
-    EXPECT_EQ(near(dx, dx64, 1e-5), "");
-  }
-  EXPECT_EQ(y.surroundings() + dx.surroundings() + tables.surroundings(), "");
-  EXPECT_EQ(launch.take_fault(), std::nullopt);
+  testing::expect_twins(make<float>(params, Device::cuda), host, points(rows, 5),
+                        gradients(rows, host.traits().out_dims, 6), {stride, stride}, 1e-6, 1e-5);
 }
 
 using CudaHashGrid = testing::DeviceTest;
