@@ -30,7 +30,8 @@ auto make_part(const Registry& registry, const std::string& name, const Settings
 template <class Real>
 class EncoderBox {
  public:
-  explicit EncoderBox(std::unique_ptr<Encoder<Real>> encoder) : encoder_(std::move(encoder)), box_(*encoder_, 1, 1.0) {}
+  explicit EncoderBox(std::unique_ptr<Encoder<Real>> encoder, const BlockSource& scratch = {})
+      : encoder_(std::move(encoder)), box_(*encoder_, 1, 1.0), workspace_(scratch) {}
   EncoderBox(const Registry& registry, const std::string& name, const Settings& settings, std::int32_t in_dims = 3)
       : EncoderBox(make_part<Real>(registry, name, settings, EncoderBuild{.in_dims = in_dims})) {}
 

@@ -1,6 +1,7 @@
 // What the files of group I share: the kernels of every instruction set side by side, and a device under test.
 
 #include <dlfcn.h>
+#include <fmt/format.h>
 #include <sys/mman.h>
 
 #include <algorithm>
@@ -154,11 +155,7 @@ double ulps(Real value, long double truth) {
   return static_cast<double>(std::abs(long_double(value) - truth) / std::ldexp(1.0L, last));
 }
 
-std::string two_digits(double value) {
-  char text[24];
-  std::snprintf(text, sizeof text, "%.2f", value);
-  return text;
-}
+std::string two_digits(double value) { return fmt::format("{:.2f}", value); }
 
 }  // namespace
 
@@ -402,6 +399,11 @@ class Reserved : NonCopyable {
   ~Reserved() {
     if (there()) ::munmap(memory_, bytes_);
   }
+  /// For so many numbers.
+  template <class T>
+  static Reserved of(std::int64_t count) {
+    return Reserved(sizeof(T) * static_cast<std::size_t>(count));
+  }
   bool there() const { return memory_ != MAP_FAILED; }
   template <class T>
   T* as() const {
@@ -488,14 +490,10 @@ template <class Real>
 void strided_compositing(CaseRun& run) {
   const std::int64_t samples = 25'600'000;
   const std::int32_t channels = 88, count = 12;
-  const Reserved hidden(sizeof(Real) * static_cast<std::size_t>(samples * channels));
-  const Reserved rgb(sizeof(Real) * static_cast<std::size_t>(3 * samples));
-  const Reserved columns[4] = {Reserved(sizeof(Real) * static_cast<std::size_t>(samples)),
-                               Reserved(sizeof(Real) * static_cast<std::size_t>(samples)),
-                               Reserved(sizeof(Real) * static_cast<std::size_t>(samples)),
-                               Reserved(sizeof(Real) * static_cast<std::size_t>(samples))};
-  const Reserved rays(sizeof(std::int32_t) * static_cast<std::size_t>(samples));
-  if (!hidden.there() || !rgb.there() || !columns[3].there() || !rays.there())
+  const Reserved hidden = Reserved::of<Real>(samples * channels), rays = Reserved::of<std::int32_t>(samples);
+  const Reserved columns[4] = {Reserved::of<Real>(samples), Reserved::of<Real>(samples), Reserved::of<Real>(samples),
+                               Reserved::of<Real>(samples)};
+  if (!hidden.there() || !columns[3].there() || !rays.there())
     return run.absent("this system reserves no addresses for them");
   const auto composite = [&](std::int64_t begin, std::int64_t rows, std::vector<Real>& out_hidden, Real& opacity) {
     std::int32_t first[2] = {static_cast<std::int32_t>(begin), static_cast<std::int32_t>(begin + count)};
@@ -540,7 +538,7 @@ void long_index(CaseRun& run) {
         "pixel numbers of the ray source");
     // 1e5 rays x 256 samples x 88 classes = 2.25e9 elements: sizes and offsets of views.
     const std::int64_t rows = 25'600'000;
-    const Reserved space(sizeof(Real) * static_cast<std::size_t>(rows) * 88);
+    const Reserved space = Reserved::of<Real>(rows * 88);
     if (!space.there()) return run.absent("this system reserves no addresses for them");
     const View<Real> view(space.as<Real>(), rows, 88);
     run.expect(view.size() == 2'252'800'000 && view.size() > kTwo31, "a view counts 2,252,800,000 elements");
@@ -661,11 +659,8 @@ void whole_step(CaseRun& run) {
   run.expect(more[0].step.state == state,
              "1 and 3 threads leave the same bits after " + std::to_string(kSteps) + " steps");
   std::string figures;
-  for (const Measured& m : hash) {
-    char text[64];
-    std::snprintf(text, sizeof text, "%s%s %.3f dB", figures.empty() ? "" : ", ", m.set.c_str(), m.step.psnr_db);
-    figures += text;
-  }
+  for (const Measured& m : hash)
+    figures += fmt::format("{}{} {:.3f} dB", figures.empty() ? "" : ", ", m.set, m.step.psnr_db);
   run.note(figures + " after " + std::to_string(kSteps) + " steps");
 
   run.row("float64");
@@ -720,7 +715,7 @@ void kernel_guards(CaseRun& run) {
     run.expect(!all_finite(values.data(), 100), "all_finite sees it");
     run.expect(first_non_finite<Real>({values.data(), 10, 10}) == 63, "first_non_finite finds it");
     for (const IsaTable<Real>& table : isa_tables<Real>())
-      run.expect(!table.kernels.all_finite(values.data(), 100), "all_finite on " + std::string(isa_name(table.isa)));
+      run.expect(!table.kernels.all_finite(values.data(), 100), "all_finite on " + name_of(table.isa));
     testing::RayBuffers<Real> rays({3, 5}, 0);
     std::fill(rays.sigma.begin(), rays.sigma.end(), Real(1));
     check_density(rays.samples, View<const Real>(rays.col(rays.sigma)));
@@ -728,6 +723,12 @@ void kernel_guards(CaseRun& run) {
     run.expect_error(ErrorKind::failure, {"ray 1", "sample 2"},
                      [&] { check_density(rays.samples, View<const Real>(rays.col(rays.sigma))); });
   }
+}
+
+std::uint32_t state_of(const Trainer& trainer) {
+  std::uint32_t crc = 0;
+  for (const TensorRef& tensor : trainer.tensors()) crc = crc32c(tensor.bytes, crc);
+  return crc;
 }
 
 // Every dense tensor in turn gets one NaN: the step says so and changes nothing.
@@ -744,14 +745,9 @@ void trainer_guards(CaseRun& run) {
     trainer.advance();
     t.value.data()[0] = std::numeric_limits<float>::quiet_NaN();
     session.pipeline->derive(trainer.step());
-    const auto state = [&] {
-      std::uint32_t crc = 0;
-      for (const TensorRef& tensor : trainer.tensors()) crc = crc32c(tensor.bytes, crc);
-      return crc;
-    };
-    const std::uint32_t before = state();
+    const std::uint32_t before = state_of(trainer);
     run.expect_error(ErrorKind::failure, {}, [&] { trainer.advance(); });
-    run.expect(state() == before && trainer.step() == 1, "the step changed nothing: " + t.name);
+    run.expect(state_of(trainer) == before && trainer.step() == 1, "the step changed nothing: " + t.name);
     ++poisoned;
   }
   run.expect(poisoned > 5, "tensors were poisoned");
@@ -818,27 +814,14 @@ namespace {
 
 constexpr std::int64_t kRows = 40;
 
-EncoderBuild on_device() { return EncoderBuild{.device = Device::cuda}; }
-
-// An encoder on the device as one on the host, with its tensors.
+// An encoder on the device, and as one on the host with its tensors.
 struct DeviceEncoder {
   DeviceEncoder(const DeviceUnderTest& device, const std::string& name, const testkit::Settings& settings)
-      : there(testkit::make_part<float>(device.registry, name, settings, on_device())),
-        here(testkit::host_twin(*there, {device.calls, false})),
-        box(*here, 1, 1.0),
-        workspace(device.calls.memory) {}
-  std::vector<float> forward(const std::vector<double>& x) {
-    const EncoderTraits shape = here->traits();
-    const auto rows = static_cast<std::int64_t>(x.size()) / shape.in_dims;
-    std::vector<float> y(static_cast<std::size_t>(rows * shape.out_dims), -99.0F);
-    here->forward(context(), box.tensors(), {x.data(), rows, shape.in_dims}, {y.data(), rows, shape.out_dims});
-    return y;
-  }
-  StepContext context() { return StepContext{.workspace = &workspace}; }
-
-  std::unique_ptr<Encoder<float>> there, here;
-  testkit::TensorBox<float> box;
-  Workspace workspace;
+      : there(testkit::make_part<float>(device.registry, name, settings, EncoderBuild{.device = Device::cuda})),
+        here(testkit::host_twin(*there, {device.calls, false}), device.calls.memory) {}
+  std::vector<float> forward(const std::vector<double>& x) { return here.forward(x); }
+  std::unique_ptr<Encoder<float>> there;
+  testkit::EncoderBox<float> here;
 };
 
 struct Kind {
@@ -913,13 +896,9 @@ void fused_on_device(CaseRun& run) {
     testkit::EncoderBox<float> here(run.registry(), kind.name, kind.settings);
     const std::vector<double> x = positions(2000);
     const std::vector<float> a = there.forward(x), b = here.forward(x);
-    double worst = 0, largest = 0;
-    for (std::size_t i = 0; i < a.size(); ++i) {
-      worst = std::max(worst, std::abs(static_cast<double>(a[i]) - static_cast<double>(b[i])));
-      largest = std::max<double>(largest, std::abs(b[i]));
-      if (std::isnan(a[i])) worst = a[i];
-    }
-    run.measure(worst / largest / u, 4, std::string(kind.name) + ", in u of the largest value");
+    const testkit::Difference off =
+        testkit::difference<float, float>({a.data(), std::ssize(a), 1}, {b.data(), std::ssize(b), 1});
+    run.measure(off.max_abs / off.max_want / u, 4, std::string(kind.name) + ", in u of the largest value");
   }
 }
 
@@ -942,7 +921,7 @@ void sines_on_device(CaseRun& run) {
   const std::optional<DeviceUnderTest> device = device_row(run);
   if (!device) return;
   const DeviceEncoder encoder(*device, "frequency", sine_settings());
-  run.measure(worst_sine<float>(*encoder.here), 2, "sin and cos, in units of the last place of 1");
+  run.measure(worst_sine<float>(encoder.here.encoder()), 2, "sin and cos, in units of the last place of 1");
 }
 
 // Rows of the result lie 600 million elements apart in device memory; only they are brought back.
@@ -962,11 +941,11 @@ void long_index_on_device(CaseRun& run) {
   }
   for (const char* name : {"identity", "frequency"}) {  // without tensors
     DeviceEncoder encoder(*device, name, {});
-    const std::int32_t cols = encoder.here->traits().out_dims;
+    const std::int32_t cols = encoder.here.out_dims();
     const std::vector<float> near = encoder.forward(x);
     const View<float> y(reinterpret_cast<float*>(far), kFew, cols, kStride, Device::cuda);
     const View<const double> x_there(reinterpret_cast<const double*>(given), kFew, 3, 3, Device::cuda);
-    device->calls.run(false, [&] { encoder.there->forward(encoder.context(), {}, x_there, y); });
+    device->calls.run(false, [&] { encoder.there->forward(encoder.here.context(), {}, x_there, y); });
     std::vector<float> row(static_cast<std::size_t>(cols));
     for (std::int64_t r = 0; r < kFew; ++r) {
       device->calls.to_host(reinterpret_cast<const std::byte*>(y.row(r)), row.data(), row.size() * sizeof(float));
@@ -1020,11 +999,6 @@ struct Training {
     }
     return std::sqrt(squares) / (1 - session.config.adam.beta1);
   }
-  std::uint32_t state() const {
-    std::uint32_t crc = 0;
-    for (const TensorRef& tensor : trainer.tensors()) crc = crc32c(tensor.bytes, crc);
-    return crc;
-  }
   Session session;
   Trainer trainer;
 };
@@ -1049,10 +1023,7 @@ void step_in(CaseRun& run, Registry& registry, bool bf16) {
     cuda.train(network.steps);
     const double there = cuda.psnr_db(), here = cpu.psnr_db();
     run.near(there, here, bf16 ? 0.5 : 0.05, "PSNR after training, dB");
-    char text[96];
-    std::snprintf(text, sizeof text, "%.3f dB after %d steps, %.3f dB on the CPU", there,
-                  static_cast<int>(network.steps), here);
-    run.note(text);
+    run.note(fmt::format("{:.3f} dB after {} steps, {:.3f} dB on the CPU", there, network.steps, here));
   }
 }
 
@@ -1082,10 +1053,10 @@ void finite_checks_on_device(CaseRun& run) {
     one.train(1);
     t.value.data()[0] = std::numeric_limits<float>::quiet_NaN();
     one.session.pipeline->executor().upload(1);
-    const std::uint32_t before = one.state();
+    const std::uint32_t before = state_of(one.trainer);
     run.expect_error(ErrorKind::failure, {}, [&] { one.trainer.advance(); });
     one.trainer.collect();
-    run.expect(one.state() == before && one.trainer.step() == 1, "the step changed nothing: " + t.name);
+    run.expect(state_of(one.trainer) == before && one.trainer.step() == 1, "the step changed nothing: " + t.name);
     ++poisoned;
   }
   run.expect(poisoned > 5, "tensors were poisoned");

@@ -160,37 +160,34 @@ std::vector<double> uniform(int count, double bound, std::uint64_t seed) {
   return x;
 }
 
-}  // namespace
-
-void pe_ten_bands(CaseRun& run) {
-  std::vector<double> x = uniform(2000, 1, 1);
-  for (const double edge : {0.0, 1.0, -1.0, 0.5, 0x1p-30, 0x1p-140}) x.push_back(edge);
-  const std::vector<Wide> want[] = {reference_bands(widened(x), 10, "radian"), reference_bands(widened(x), 10, "pi")};
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (int a = 0; a < 2; ++a) {
-      EncoderBox<Real> box(run.registry(), "frequency", settings(10, kAngulars[a]), 1);
-      run.measure(largest(errors_by_band(box.forward(x), want[a], 10)), tolerance_of<Real>(1.2e-7), kAngulars[a]);
-    }
-  });
+template <class Real>
+void measure_bands(CaseRun& run, const std::vector<double>& x, int bands) {
+  for (const char* angular : kAngulars) {
+    EncoderBox<Real> box(run.registry(), "frequency", settings(bands, angular), 1);
+    run.measure(largest(errors_by_band(box.forward(x), reference_bands(widened(x), bands, angular), bands)),
+                tolerance_of<Real>(1.2e-7), angular);
+  }
 }
 
-void pe_stored_x(CaseRun& run) {
+}  // namespace
+
+IN_BOTH_PRECISIONS(pe_ten_bands) {
+  std::vector<double> x = uniform(2000, 1, 1);
+  for (const double edge : {0.0, 1.0, -1.0, 0.5, 0x1p-30, 0x1p-140}) x.push_back(edge);
+  measure_bands<Real>(run, x, 10);
+}
+
+IN_BOTH_PRECISIONS(pe_stored_x) {
   std::vector<double> x = uniform(300, 1, 2);
   for (const double v : uniform(300, 10, 3)) x.push_back(v);
   for (const double v : spread(600, -20, 20, 4)) x.push_back(v);
-  const std::vector<Wide> want[] = {reference_bands(widened(x), 40, "radian"), reference_bands(widened(x), 40, "pi")};
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (int a = 0; a < 2; ++a) {
-      EncoderBox<Real> box(run.registry(), "frequency", settings(40, kAngulars[a]), 1);
-      run.measure(largest(errors_by_band(box.forward(x), want[a], 40)), tolerance_of<Real>(1.2e-7), kAngulars[a]);
-    }
-    // What the exact reduction is for: the angle rounded to fp32, as a plain program has it, on the first 300 x.
-    EncoderBox<Real> naive(run.registry(), "frequency", settings(40, "pi", "naive"), 1);
-    const std::vector<double> unit(x.begin(), x.begin() + 300);
-    const std::vector<double> off = errors_by_band(naive.forward(unit), want[1], 40);
-    run.expect(off[22] > 0.1, "an angle rounded to fp32 loses band 22");
-    run.note(fmt::format("'naive' at |x| <= 1: {:.1e} in band 9, {:.2f} in band 22", off[9], off[22]));
-  });
+  measure_bands<Real>(run, x, 40);
+  // What the exact reduction is for: the angle rounded to fp32, as a plain program has it, on the first 300 x.
+  EncoderBox<Real> naive(run.registry(), "frequency", settings(40, "pi", "naive"), 1);
+  const std::vector<double> unit(x.begin(), x.begin() + 300);
+  const std::vector<double> off = errors_by_band(naive.forward(unit), reference_bands(widened(unit), 40, "pi"), 40);
+  run.expect(off[22] > 0.1, "an angle rounded to fp32 loses band 22");
+  run.note(fmt::format("'naive' at |x| <= 1: {:.1e} in band 9, {:.2f} in band 22", off[9], off[22]));
 }
 
 namespace {
