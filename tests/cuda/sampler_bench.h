@@ -154,25 +154,14 @@ inline StepContext device_context(const StepContext& ctx, DeviceLaunch& launch) 
   return on_device;
 }
 
-/// "" for equal bits, else the first difference.
+/// "" for equal bits, else the first difference of each kind.
 inline std::string difference(const HostSamples& cpu, const HostSamples& device) {
-  const auto at = [](std::size_t i) { return " " + std::to_string(i) + ": "; };
-  for (std::size_t r = 0; r < cpu.first.size(); ++r) {
-    if (cpu.first[r] != device.first[r])
-      return "first" + at(r) + std::to_string(cpu.first[r]) + " on the CPU, " + std::to_string(device.first[r]);
-  }
-  const auto live = static_cast<std::size_t>(cpu.live());
-  for (std::size_t i = 0; i < cpu.t.size(); ++i) {
-    const std::string row = (i < live ? "sample" : "unused row") + at(i);
-    const bool same_t = std::memcmp(&cpu.t[i], &device.t[i], sizeof(float)) == 0;
-    if (!same_t) return row + "t " + std::to_string(cpu.t[i]) + " on the CPU, " + std::to_string(device.t[i]);
-    const bool same_delta = std::memcmp(&cpu.delta[i], &device.delta[i], sizeof(float)) == 0;
-    if (!same_delta)
-      return row + "delta " + std::to_string(cpu.delta[i]) + " on the CPU, " + std::to_string(device.delta[i]);
-    if (cpu.ray[i] != device.ray[i])
-      return row + "ray " + std::to_string(cpu.ray[i]) + " on the CPU, " + std::to_string(device.ray[i]);
-  }
-  return "";
+  const auto of = [](const char* what, const auto& want, const auto& got) {
+    const std::string found = testkit::compare_bits(host_view(got, 1), host_view(want, 1));
+    return found.empty() ? found : what + (": " + found + "\n");
+  };
+  return of("first", cpu.first, device.first) + of("t", cpu.t, device.t) + of("delta", cpu.delta, device.delta) +
+         of("ray", cpu.ray, device.ray);
 }
 
 inline StepContext context_at(std::int64_t step, bool training) {
