@@ -6,6 +6,8 @@
 #include <cuda_runtime_api.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <optional>
 
@@ -23,13 +25,14 @@
 
 namespace semfield::testing {
 
-inline bool has_device() {
-  static const bool found = [] {
+inline int device_count() {
+  static const int found = [] {
     int count = 0;
-    return cudaGetDeviceCount(&count) == cudaSuccess && count > 0;
+    return cudaGetDeviceCount(&count) == cudaSuccess ? count : 0;
   }();
   return found;
 }
+inline bool has_device() { return device_count() > 0; }
 
 /// First line of a test that launches a kernel, where its suite is no DeviceTest.
 #define SEMFIELD_NEEDS_DEVICE()                                     \
@@ -190,6 +193,10 @@ class DeviceLaunch : NonCopyable {
   std::optional<cuda::LaunchScope> scope_;
   Workspace arena_{cuda::arena_source()};
 };
+
+inline void expect_near(double got, double want, double relative, const std::string& what) {
+  EXPECT_NEAR(got, want, relative * std::max(1e-6, std::abs(want))) << what;
+}
 
 /// `count` numbers in [low, high), the same for the same seed.
 inline std::vector<float> random_floats(std::int64_t count, std::uint64_t seed, double low, double high) {

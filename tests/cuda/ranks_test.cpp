@@ -17,11 +17,7 @@ namespace {
 
 using namespace testing_train;
 using testing::as_ranks;
-
-int devices() {
-  int count = 0;
-  return cudaGetDeviceCount(&count) == cudaSuccess ? count : 0;
-}
+using testing::expect_near;
 
 using Lead = std::function<void(Session&)>;
 
@@ -79,16 +75,6 @@ std::string with_rays(std::string yaml, int rays) {
   const std::size_t at = yaml.find("rays: ", yaml.find("train: {")), end = yaml.find_first_of(",}", at);
   return yaml.replace(at, end - at, "rays: " + std::to_string(rays));
 }
-struct BitsRow {
-  const char* name;
-  std::string yaml;
-  std::vector<int> sizes;
-};
-
-std::string deterministic(const std::string& yaml, const std::string& more = "") {
-  return yaml + "runtime: {device: cuda, deterministic: true" + more + "}\n";
-}
-
 // The batches of some steps with what came of them; gradients are those of the first: its first moment is (1 - beta1)
 // times the gradient.
 struct Steps {
@@ -123,10 +109,6 @@ Lead step_into(Steps& result) {
   };
 }
 
-void expect_near(double got, double want, double relative, const std::string& what) {
-  EXPECT_NEAR(got, want, relative * std::max(1e-6, std::abs(want))) << what;
-}
-
 void expect_equal_steps(const Steps& ranks, const Steps& alone, const std::string& what) {
   constexpr double kFirst = 1e-4, kLater = 2e-2;  // Adam turns a rounding of a gradient near 0 into a whole step
   for (std::size_t i = 0; i < alone.losses.size(); ++i) {
@@ -153,7 +135,12 @@ using CudaRanks = testing::DeviceTest;
 
 TEST_F(CudaRanks, EachTakesItsPartOfTheRaysAndTheSumIsTheWholeBatchs) {
   const std::string on_device = "runtime: {device: cuda}\n";
-  const std::vector<BitsRow> rows{
+  struct Row {
+    const char* name;
+    std::string yaml;
+    std::vector<int> sizes;
+  };
+  const Row rows[] = {
       {"hash", hash_config(), {2, 3}},
       {"two_pass", two_pass_config(), {2}},
       {"few_labels", few_labels_config(""), {2, 4}},
@@ -161,7 +148,7 @@ TEST_F(CudaRanks, EachTakesItsPartOfTheRaysAndTheSumIsTheWholeBatchs) {
       {"terms_and_branch", branch_and_terms_config(kTerms), {2}},
       {"ranks_without_rays", with_rays(two_pass_config(), 5), {4}},
   };
-  for (const BitsRow& row : rows) {
+  for (const Row& row : rows) {
     for (const int size : row.sizes) {
       Steps ranks, alone;
       lead_ranks(size, false, row.yaml + on_device, step_into(ranks));
@@ -217,7 +204,8 @@ TEST_F(CudaRanks, OneRankThroughNcclHasTheBitsOfNone) {
 #ifndef SEMFIELD_NCCL
   GTEST_SKIP() << "this build has no NCCL";
 #endif
-  for (const std::string& yaml : {two_pass_config("runtime: {device: cuda}\n"), deterministic(hash_config())}) {
+  for (const std::string& yaml :
+       {two_pass_config("runtime: {device: cuda}\n"), hash_config("runtime: {device: cuda, deterministic: true}\n")}) {
     Trained alone, one;
     lead_alone(yaml, train_into(alone));
     lead_ranks(1, false, yaml, train_into(one));
@@ -228,7 +216,7 @@ TEST_F(CudaRanks, OneRankThroughNcclHasTheBitsOfNone) {
 // A sum of two numbers has no order: NCCL's is the host's. Without an occupancy grid: where its update needs more
 // memory, the driver may wait for the other device, which in this test belongs to the same process.
 TEST_F(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
-  if (devices() < 2) GTEST_SKIP() << "this machine has one device";
+  if (testing::device_count() < 2) GTEST_SKIP() << "this machine has one device";
   // A table's entries are summed by atomics: two runs on one device differ in their bits from the second step on.
   const std::string hash = stratified_config("type: analytic_room", "", "steps: 20, rays: 64");
   for (const auto& [yaml, has_table] :

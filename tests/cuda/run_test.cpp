@@ -24,6 +24,8 @@ namespace semfield {
 namespace {
 
 using namespace testing_train;
+using testing::device_count;
+using testing::expect_near;
 
 // Both devices take the batch as one tile, so that rays have the same numbers.
 struct Training : TestRun {
@@ -40,10 +42,6 @@ void copy_values(const ParamStore<float>& from, ParamStore<float>& to) {
     ASSERT_EQ(value.size(), to.all()[i].value.size()) << from.all()[i].name;
     std::copy_n(value.data(), value.size(), to.all()[i].value.data());
   }
-}
-
-void expect_near(double cuda, double cpu, double relative, const std::string& what) {
-  EXPECT_NEAR(cuda, cpu, relative * std::max(1e-6, std::abs(cpu))) << what;
 }
 
 View<const float> moments(const Tensor<float>& tensor) { return {tensor.moment1.data(), tensor.size(), 1}; }
@@ -341,11 +339,6 @@ struct Subject : TestRun {
       : TestRun(hash_config("runtime: {device: " + device + ", deterministic: true}\n")) {}
 };
 
-int devices() {
-  int count = 0;
-  return cudaGetDeviceCount(&count) == cudaSuccess ? count : 0;
-}
-
 // On the hook's stream, by way of the host: the stream is waited for.
 void halve(const StepGradients<float>& gradients) {
   const auto stream = static_cast<cudaStream_t>(gradients.stream);
@@ -386,14 +379,14 @@ TEST_F(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
 using CudaDevices = testing::DeviceTest;
 
 TEST_F(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
-  const std::string missing = "cuda:" + std::to_string(devices());
+  const std::string missing = "cuda:" + std::to_string(device_count());
   EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { const Subject run(missing); }),
-             "runtime.device: " + missing + ": this machine has ", "cuda:" + std::to_string(devices() - 1))
+             "runtime.device: " + missing + ": this machine has ", "cuda:" + std::to_string(device_count() - 1))
       << missing;
 }
 
 TEST_F(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
-  for (int ordinal = 0; ordinal < std::min(devices(), 2); ++ordinal) {
+  for (int ordinal = 0; ordinal < std::min(device_count(), 2); ++ordinal) {
     Subject run("cuda:" + std::to_string(ordinal));
     EXPECT_EQ(run.session.pipeline->executor().device(), (DeviceId{Device::cuda, ordinal}));
     run.to(4);
@@ -405,7 +398,7 @@ TEST_F(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
 
 // Of equal devices; a run goes on on another one.
 TEST_F(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
-  if (devices() < 2) GTEST_SKIP() << "this machine has one device";
+  if (device_count() < 2) GTEST_SKIP() << "this machine has one device";
   for (const char* precision : {"", ", precision: bf16"}) {
     const std::string first = std::string("cuda:0") + precision, second = std::string("cuda:1") + precision;
     Subject a(first), b(second);
