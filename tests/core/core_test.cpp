@@ -324,7 +324,6 @@ constexpr std::size_t kMB = std::size_t{1} << 20;
 
 class MemoryLimit : public testing::Test {
  protected:
-  void file(const std::string& path, const std::string& text) { dir_.write(path, text); }
   const TempDir dir_;
   const std::string& root_ = dir_.path();
   const std::string meminfo_ = "MemTotal:  8192000 kB\nMemFree: 100 kB\nMemAvailable:    4096000 kB\n";
@@ -336,18 +335,18 @@ TEST_F(MemoryLimit, SystemAlone) {
 }
 
 TEST_F(MemoryLimit, GroupsAboveCountToo) {
-  file("/a/b/memory.max", "max\n");
-  file("/a/b/memory.current", "1000\n");
-  file("/a/memory.max", std::to_string(512 * kMB));
-  file("/a/memory.current", std::to_string(200 * kMB));
-  file("/a/memory.stat", "anon 5\ninactive_file " + std::to_string(50 * kMB) + "\n");
+  dir_.write("/a/b/memory.max", "max\n");
+  dir_.write("/a/b/memory.current", "1000\n");
+  dir_.write("/a/memory.max", std::to_string(512 * kMB));
+  dir_.write("/a/memory.current", std::to_string(200 * kMB));
+  dir_.write("/a/memory.stat", "anon 5\ninactive_file " + std::to_string(50 * kMB) + "\n");
   EXPECT_EQ(available_memory(meminfo_, "0::/a/b\n", root_), 362 * kMB);
   EXPECT_EQ(available_memory(meminfo_, "0::/other\n", root_), 4096000u * 1024);
 }
 
 TEST_F(MemoryLimit, VersionOneAndAFullGroup) {
-  file("/memory/box/memory.limit_in_bytes", std::to_string(100 * kMB));
-  file("/memory/box/memory.usage_in_bytes", std::to_string(130 * kMB));
+  dir_.write("/memory/box/memory.limit_in_bytes", std::to_string(100 * kMB));
+  dir_.write("/memory/box/memory.usage_in_bytes", std::to_string(130 * kMB));
   EXPECT_EQ(available_memory(meminfo_, "7:cpu,memory:/box\n", root_), 0u);
   EXPECT_EQ(available_memory(meminfo_, "7:cpu:/box\n", root_), 4096000u * 1024);
 }

@@ -140,11 +140,9 @@ struct Chosen {
 };
 Chosen chosen_for(HashGridParams p, double extent_m, double pixel_m, Device device = Device::cpu) {
   EncoderBuild build{.device = device, .extent_m = extent_m, .pixel_footprint_m = pixel_m};
-  Chosen out{};
-  choose(p, build, out.sentences);
-  out.finest = p.finest_resolution;
-  out.log2_entries = p.log2_entries;
-  return out;
+  std::vector<std::string> sentences;
+  choose(p, build, sentences);
+  return {p.finest_resolution, p.log2_entries, sentences};
 }
 
 TEST(HashGridLevels, SizesAreChosenFromTheScene) {

@@ -5,8 +5,8 @@
 #include <utility>
 
 #include "plugin/registry.h"
-#include "testkit/compare.h"
 #include "testkit/benches.h"
+#include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "tests/plain_network.h"
 #include "tests/says.h"
@@ -25,16 +25,11 @@ FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, boo
 }
 
 std::int64_t learned_count(const NerfMlpParams& params, const FieldBuild& build) {
-  struct Counter final : ParamDeclarer {
-    int tensor(TensorSpec spec) override {
-      if (spec.role == TensorRole::dense) learned += spec.rows * spec.cols;
-      return tensors++;
-    }
-    std::int64_t learned = 0;
-    int tensors = 0;
-  } counter;
-  NerfMlp<float>(params, build, mlp_tables()).declare(counter);
-  return counter.learned;
+  std::int64_t learned = 0;
+  const TensorBox<float> box(NerfMlp<float>(params, build, mlp_tables()), 1);
+  for (const TensorSpec& spec : box.specs())
+    learned += spec.role == TensorRole::dense ? spec.rows * spec.cols : 0;
+  return learned;
 }
 
 TEST(NerfMlp, HasThePapersParameterCount) {
@@ -45,18 +40,14 @@ TEST(NerfMlp, HasThePapersParameterCount) {
 }
 
 TEST(NerfMlp, StartsWithinTheFanIn) {
-  struct Check final : ParamDeclarer {
-    int tensor(TensorSpec spec) override {
-      if (spec.name == "trunk_5/weight") skip = spec.init.high;
-      if (spec.name == "trunk_5/bias") skip_bias = spec.init.high;
-      return count++;
-    }
-    double skip = 0, skip_bias = 0;
-    int count = 0;
-  } check;
-  NerfMlp<float>({}, build_of(63, 27), mlp_tables()).declare(check);
-  EXPECT_DOUBLE_EQ(check.skip, 1 / std::sqrt(319.0));
-  EXPECT_DOUBLE_EQ(check.skip_bias, 1 / std::sqrt(319.0));
+  int seen = 0;
+  const TensorBox<float> box(NerfMlp<float>({}, build_of(63, 27), mlp_tables()), 1);
+  for (const TensorSpec& spec : box.specs()) {
+    if (!spec.name.starts_with("trunk_5/") || spec.role != TensorRole::dense) continue;
+    EXPECT_DOUBLE_EQ(spec.init.high, 1 / std::sqrt(319.0)) << spec.name;
+    ++seen;
+  }
+  EXPECT_EQ(seen, 2) << "weight and bias of the layer with the skip";
 }
 
 TEST(NerfMlp, ForwardIsThePapersNetwork) {

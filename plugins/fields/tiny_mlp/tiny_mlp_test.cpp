@@ -4,8 +4,8 @@
 #include <algorithm>
 
 #include "plugin/registry.h"
-#include "testkit/compare.h"
 #include "testkit/benches.h"
+#include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "tests/plain_network.h"
 #include "tests/says.h"
@@ -67,49 +67,33 @@ TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
     const TinyMlp<double> whole(small(feature), build, mlp_tables());
     build.feature_only = true;
     const TinyMlp<double> alone(small(feature), build, mlp_tables());
-    testkit::TensorBox<double> of_whole(whole, 1), of_alone(alone, 2);
-    EXPECT_LT(of_alone.count(), of_whole.count());
+    FieldBench<double> of_whole(whole, build_of(7, 0), 33, 0, {}), of_alone(alone, build, 33, 0, {.seed = 2});
+    EXPECT_LT(of_alone.box.count(), of_whole.box.count());
     const auto twin_of = [&](std::size_t i) {
       std::size_t other = 0;
-      while (other < of_whole.count() && of_whole.specs()[other].name != of_alone.specs()[i].name) ++other;
-      EXPECT_LT(other, of_whole.count()) << of_alone.specs()[i].name;
+      while (other < of_whole.box.count() && of_whole.box.specs()[other].name != of_alone.box.specs()[i].name) ++other;
+      EXPECT_LT(other, of_whole.box.count()) << of_alone.box.specs()[i].name;
       return other;
     };
-    for (std::size_t i = 0; i < of_alone.count(); ++i) {
-      EXPECT_LACKS(of_alone.specs()[i].name, "color");
-      std::copy_n(of_whole.value(twin_of(i)).data, of_alone.value(i).size(), of_alone.value(i).data);
+    for (std::size_t i = 0; i < of_alone.box.count(); ++i) {
+      EXPECT_LACKS(of_alone.box.specs()[i].name, "color");
+      std::copy_n(of_whole.box.value(twin_of(i)).data, of_alone.box.value(i).size(), of_alone.box.value(i).data);
     }
-    constexpr std::int64_t kRows = 33;
-    std::vector<double> x(kRows * 7), d(static_cast<std::size_t>(kRows * alone.traits().feature_dims));
-    for (std::size_t i = 0; i < x.size(); ++i) x[i] = std::sin(1.7 * static_cast<double>(i));
-    for (std::size_t i = 0; i < d.size(); ++i) d[i] = std::cos(0.9 * static_cast<double>(i));
-    const std::vector<std::int32_t> ray(kRows, 0);
-    const auto run = [&](const TinyMlp<double>& field, testkit::TensorBox<double>& box,
-                         std::vector<double>& out_feature, std::vector<double>& d_x) {
-      Workspace arena;
-      StepContext ctx{.workspace = &arena};
-      FieldIn<double> in{.position = {x.data(), kRows, 7}, .ray_of_sample = {ray.data(), kRows, 1}};
-      FieldOut<double> out;
-      out_feature.resize(d.size());
-      d_x.resize(x.size());
-      out.feature = {out_feature.data(), kRows, field.traits().feature_dims};
-      const std::size_t bytes = field.saved_bytes(kRows, 1);
-      const Saved saved(arena.take_bytes(bytes), bytes);
-      field.derive(ctx, box.tensors());
-      field.forward(ctx, box.tensors(), in, out, saved);
-      FieldGrad<double> grad{.feature = {d.data(), kRows, field.traits().feature_dims}};
-      box.fill_grads(0);
-      field.backward(ctx, box.tensors(), in, out, grad, saved, {d_x.data(), kRows, 7});
-      return bytes;
-    };
-    std::vector<double> a, b, dx_a, dx_b;
-    EXPECT_GT(run(whole, of_whole, a, dx_a), run(alone, of_alone, b, dx_b));
-    EXPECT_EQ(a, b);
-    EXPECT_EQ(dx_a, dx_b);
-    for (std::size_t i = 0; i < of_alone.count(); ++i) {
-      if (!of_alone.learned(i)) continue;
-      const View<double> want = of_whole.grad(twin_of(i)), got = of_alone.grad(i);
-      EXPECT_TRUE(std::equal(got.data, got.data + got.size(), want.data)) << of_alone.specs()[i].name;
+    of_alone.derive();
+    of_alone.position = of_whole.position;
+    of_alone.w_feature = of_whole.w_feature;
+    const Wanted feature_alone{false, false, true};
+    for (FieldBench<double>* const bench : {&of_whole, &of_alone}) {
+      bench->forward(feature_alone);
+      bench->backward(feature_alone);
+    }
+    EXPECT_GT(whole.saved_bytes(33, 1), alone.saved_bytes(33, 1));
+    EXPECT_EQ(compare_bits<double>(of_alone.feature.view(), of_whole.feature.view()), "");
+    EXPECT_EQ(compare_bits<double>(of_alone.d_position.view(), of_whole.d_position.view()), "");
+    for (std::size_t i = 0; i < of_alone.box.count(); ++i) {
+      if (!of_alone.box.learned(i)) continue;
+      const View<double> want = of_whole.box.grad(twin_of(i)), got = of_alone.box.grad(i);
+      EXPECT_EQ(compare_bits<double>(got, want), "") << of_alone.box.specs()[i].name;
       EXPECT_TRUE(std::any_of(got.data, got.data + got.size(), [](double g) { return g != 0; }));
     }
   }

@@ -40,6 +40,10 @@ struct Bench : numerics::RayBench<Real> {
     }
     this->ctx.training = false;
   }
+  const unsigned char* bits() const { return reinterpret_cast<const unsigned char*>(this->box.value(1).data); }
+  std::vector<Real> of_ray(const std::vector<Real>& values, std::int64_t r) const {
+    return {values.begin() + this->first[r], values.begin() + this->first[r + 1]};
+  }
   // Rays from a corner of the room in many directions.
   void shoot(std::int64_t rays) {
     this->set_rays(rays, 0.05, 12.0);
@@ -73,11 +77,10 @@ std::vector<Real> brute_force(Bench<Real>& bench, std::int64_t r) {
   if (!intersect(g.outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) return result;
   const double near_m = std::max(0.05, enter), far_m = std::min(12.0, leave);
   const auto n = static_cast<std::int64_t>(std::ceil((far_m - near_m) / g.step_m));
-  const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
   const CellRay ray(g, o, d);
   for (std::int64_t i = 0; i < n; ++i) {
     const double t = near_m + (static_cast<double>(i) + 0.5) * ((far_m - near_m) / static_cast<double>(n));
-    if (!is_empty_cell<Real>(bits, ray.cell_at(g, t).index(g.n))) result.push_back(static_cast<Real>(t));
+    if (!is_empty_cell<Real>(bench.bits(), ray.cell_at(g, t).index(g.n))) result.push_back(static_cast<Real>(t));
   }
   return result;
 }
@@ -94,9 +97,7 @@ TEST(OccupancyGrid, JumpsGiveTheSamplesOfStepByStepMarching) {
     std::size_t total = 0;
     for (std::int64_t r = 0; r < 300; ++r) {
       const std::vector<double> want = brute_force(bench, r);
-      const auto begin = bench.t.begin() + bench.first[r];
-      ASSERT_EQ(std::vector<double>(begin, bench.t.begin() + bench.first[static_cast<std::size_t>(r) + 1]), want)
-          << "ray " << r;
+      ASSERT_EQ(bench.of_ray(bench.t, r), want) << "ray " << r;
       total += want.size();
     }
     EXPECT_GT(total, 1000u);
@@ -138,8 +139,7 @@ TEST(OccupancyGrid, GrowingStepsTileTheRayAndStayBelowTheirShare) {
   const OccupancyGeometry& g = bench.grid.geometry();
   for (std::size_t r = 0; r < 100; ++r) {
     double border = 0.05, longest = 0;
-    const auto begin = static_cast<std::size_t>(bench.first[r]), end = static_cast<std::size_t>(bench.first[r + 1]);
-    for (std::size_t k = begin; k < end; ++k) {
+    for (std::int32_t k = bench.first[r]; k < bench.first[r + 1]; ++k) {
       EXPECT_GT(bench.t[k], border);
       border += bench.delta[k];
       EXPECT_LT(bench.t[k], border);
@@ -158,19 +158,17 @@ TEST(OccupancyGrid, GrowingStepsJumpAsStepByStepMarchingGoes) {
   bench.learn(ball<double>(50, 0), 80);
   bench.shoot(300);
   const OccupancyGeometry& g = bench.grid.geometry();
-  const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
   std::size_t kept = 0;
-  for (std::size_t r = 0; r < 300; ++r) {
+  for (std::int64_t r = 0; r < 300; ++r) {
     const CellRay ray(g, &bench.origin[3 * r], &bench.direction[3 * r]);
     std::vector<double> want, lengths;
-    for (auto k = static_cast<std::size_t>(all.first[r]); k < static_cast<std::size_t>(all.first[r + 1]); ++k) {
-      if (is_empty_cell<double>(bits, ray.cell_at(g, all.t[k]).index(g.n))) continue;
+    for (std::int32_t k = all.first[r]; k < all.first[r + 1]; ++k) {
+      if (is_empty_cell<double>(bench.bits(), ray.cell_at(g, all.t[k]).index(g.n))) continue;
       want.push_back(all.t[k]);
       lengths.push_back(all.delta[k]);
     }
-    const auto begin = bench.first[r], end = bench.first[r + 1];
-    ASSERT_EQ(std::vector<double>(bench.t.begin() + begin, bench.t.begin() + end), want) << "ray " << r;
-    ASSERT_EQ(std::vector<double>(bench.delta.begin() + begin, bench.delta.begin() + end), lengths) << "ray " << r;
+    ASSERT_EQ(bench.of_ray(bench.t, r), want) << "ray " << r;
+    ASSERT_EQ(bench.of_ray(bench.delta, r), lengths) << "ray " << r;
     kept += want.size();
   }
   EXPECT_GT(kept, 500u);
@@ -186,9 +184,8 @@ TEST(OccupancyGrid, GrowingStepsLowerTheThresholdOfOuterCascades) {
     // 0.7 of the threshold of the finest cells everywhere, a dense ball that keeps the mean high.
     const double haze = 0.7 * params.threshold / bench.grid.geometry().step_m;
     bench.learn(ball<double>(1e7, haze), 80);
-    const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
     const std::int64_t of_cascade = bench.grid.geometry().cells_per_cascade();
-    return std::array<bool, 2>{!is_empty_cell<double>(bits, 0), !is_empty_cell<double>(bits, of_cascade)};
+    return std::array{!is_empty_cell<double>(bench.bits(), 0), !is_empty_cell<double>(bench.bits(), of_cascade)};
   };
   EXPECT_EQ(occupied(0.05), (std::array<bool, 2>{false, true}));
   EXPECT_EQ(occupied(0), (std::array<bool, 2>{false, false}));
@@ -210,7 +207,7 @@ TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {
     const double half = gap2 > 0 ? std::sqrt(gap2) : 0;
     const double want = std::max(0.0, along + half - std::max(0.05, along - half));
     double covered = 0;
-    for (std::int32_t k = bench.first[r]; k < bench.first[static_cast<std::size_t>(r) + 1]; ++k) {
+    for (std::int32_t k = bench.first[r]; k < bench.first[r + 1]; ++k) {
       const double t = static_cast<double>(bench.t[k]);
       if (std::abs(t - along) < half) covered += static_cast<double>(bench.delta[k]);
     }
@@ -231,9 +228,7 @@ double largest_loss(SkipRule rule, double haze) {
     const double* o = &bench.origin[3 * r];
     const double* d = &bench.direction[3 * r];
     intersect(bench.grid.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
-    for (std::int32_t k = bench.first[r]; k < bench.first[static_cast<std::size_t>(r) + 1]; ++k) {
-      covered += bench.delta[k];
-    }
+    for (std::int32_t k = bench.first[r]; k < bench.first[r + 1]; ++k) covered += bench.delta[k];
     worst = std::max(worst, haze * (std::min(12.0, leave) - std::max(0.05, enter) - covered));
   }
   return worst;
