@@ -1,7 +1,7 @@
 // The page put together: state comes in, the parts show it, keys and buttons act.
-import {followState, safeStorage} from './api.js';
+import {followState} from './api.js';
 import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys} from './dialogs.js';
-import {byId} from './dom.js';
+import {byId, safeStorage} from './dom.js';
 import {Labeller} from './labeller.js';
 import {OverlayEvents} from './model.js';
 import {Bars, Messages, Panel, Strip} from './panel.js';
@@ -196,50 +196,12 @@ class Page {
     });
   }
 
-  /// Whether the person sees the view that is looked at, and not the one before; else says so.
-  isShown() {
-    const isShown = this.state && this.stage.shown === this.index;
-    if (!isShown) this.messages.tell(this.state ? 'Not stored: another view is coming. Click again.' : 'Not stored: wait until the program is connected.');
-    return isShown;
-  }
-
-  /// False for a view that is only looked at, and says so.
-  isOpenToLabels() {
-    if (this.view?.held_out) this.messages.tell(`${this.view.frame} is held out for tests: a label here would train on what tests measure. Label another view.`);
-    return !this.view?.held_out;
-  }
-
-  /// Whether a label can be begun now; else says why, or asks for a class.
-  mayLabel() {
-    if (!this.isOpenToLabels()) return false;
-    if (this.labeller.chosen === null) this.nameFirst();
-    return this.labeller.chosen !== null;
-  }
-
-  /// act(label) at once where a class was chosen, or after the dialog of the first class; else says that nothing is stored.
-  whenNamed(act, seen = this.labeller.label) {
-    const label = seen.class === null ? this.labeller.label : seen;
-    if (label.class !== null) act(label);
-    else this.nameFirst(() => act(this.labeller.label));
-  }
-
-  nameFirst(then) {
-    if (this.classes.length === 0) this.make(then);
-    else this.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
-  }
-
-  click({points, radius, view, label}) {
-    if (this.isOpenToLabels()) this.whenNamed((named) => this.labeller.click(view, points, radius, named), label);
-  }
-
-  polygon(points, step) { this.labeller.polygon(this.index, points, step); }
-
   enter() {
     const {stage} = this;
     if (stage.tools.close()) return;
     if (!stage.cross) return this.messages.tell('Move a cross over the view with shift and the arrow keys; enter clicks there.');
     if (stage.tools.kind === 'polygon') stage.tools.clickCorner(stage.cross);
-    else this.click({points: [stage.cross], radius: this.settings.radius, view: this.index});
+    else stage.tools.click({points: [stage.cross], radius: this.settings.radius, view: this.index});
   }
 
   /// Out of what is under way: a polygon, a selection.
@@ -260,7 +222,7 @@ class Page {
 
   space() {
     const proposal = this.seenProposal();
-    if (proposal) this.whenNamed((label) => this.labeller.takeProposal(proposal, this.settings.radius, label));
+    if (proposal) this.stage.tools.whenNamed((label) => this.labeller.takeProposal(proposal, this.settings.radius, label));
   }
 
   takeGuess() {

@@ -1,6 +1,5 @@
 // Dialogs: name and colour of a class, and the help.
-import {safeStorage} from './api.js';
-import {byId, cssColor, freeColor, hexColor, kPalette, make, rgbOfHex, setText} from './dom.js';
+import {byId, cssColor, freeColor, hexColor, kPalette, make, rgbOfHex, safeStorage, setText} from './dom.js';
 import {nameProblem} from './model.js';
 
 // What is answered is done inside the event that answers: a dialog's close event, or a promise, comes after clicks that a person made

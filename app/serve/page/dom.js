@@ -1,4 +1,4 @@
-// Small helpers for elements.
+// Small helpers for elements, colours and the browser's store.
 
 export const byId = (id) => document.getElementById(id);
 
@@ -77,3 +77,22 @@ export const kEntropyColors = Array.from({length: 256}, (_, i) => {
   const k = Math.min(kStops.length - 2, Math.floor(at));
   return kStops[k].map((v, c) => Math.round(v + (kStops[k + 1][c] - v) * (at - k)));
 });
+
+/// A store that works where the browser keeps nothing (private windows): then a reload forgets, and nothing else changes.
+export function safeStorage(kind) {
+  try {
+    const store = window[kind];
+    store.setItem('semfield.probe', '1');
+    store.removeItem('semfield.probe');
+    return store;
+  } catch {
+    const values = new Map();
+    return {
+      get length() { return values.size; },
+      key: (i) => [...values.keys()][i] ?? null,
+      getItem: (key) => values.get(key) ?? null,
+      setItem: (key, value) => values.set(key, String(value)),
+      removeItem: (key) => values.delete(key),
+    };
+  }
+}
