@@ -15,7 +15,7 @@
 #include "eval/evaluator.h"
 #include "labels/strict_json.h"
 #include "scene/camera.h"
-#include "serve/label_loop.h"
+#include "serve/label_state.h"
 
 namespace semfield::app {
 

@@ -20,6 +20,7 @@
 #include "run/run.h"
 #include "run/run_folder.h"
 #include "serve/label_loop.h"
+#include "serve/label_state.h"
 #include "serve/view_pictures.h"
 #include "session/session.h"
 

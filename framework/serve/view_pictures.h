@@ -12,6 +12,7 @@
 #include "labels/clicks/annotations.h"
 #include "scene/scene.h"
 #include "serve/label_loop.h"
+#include "serve/label_state.h"
 #include "surface/surface_graph.h"
 
 namespace semfield {

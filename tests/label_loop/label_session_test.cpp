@@ -12,6 +12,7 @@
 
 #include "core/non_copyable.h"
 #include "labels/clicks/click_log.h"
+#include "labels/labelling_record.h"
 #include "loading/packed_scene.h"
 #include "report/report.h"
 #include "run/metrics_log.h"
