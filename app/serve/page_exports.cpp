@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "app/child_process.h"
-#include "app/serve/page_server.h"
+#include "app/serve/page_host.h"
 #include "core/error.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"

@@ -20,7 +20,7 @@
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 #ifdef SEMFIELD_PAGE
-#include "app/serve/page_server.h"
+#include "app/serve/page_pictures.h"
 #endif
 
 namespace semfield {
