@@ -77,17 +77,11 @@ void LabelSession::name_classes(LabelState& next) const {
   for (int c = 0; c < annotations_.named_classes(); ++c) {
     if (!annotations_.is_named(c)) continue;
     const ClassEntry& entry = table.valid(c);
-    ClassState cls;
     const auto known =
         std::find_if(before.begin(), before.end(), [&](const ClassState& old) { return old.index == c; });
-    if (known != before.end()) cls = *known;
-    cls.index = c;
-    cls.id = entry.id;
-    cls.name = entry.name;
-    cls.color = entry.color;
-    cls.own = c < annotations_.own_classes();
-    cls.clicks = 0;
-    next.classes.push_back(cls);
+    const ClassState old = known == before.end() ? ClassState{} : *known;
+    next.classes.push_back(
+        {c, entry.id, entry.name, entry.color, 0, old.area_share, old.confidence, c < annotations_.own_classes()});
   }
   for (ViewState& view : next.views) view.clicks = 0;
   next.marks = annotations_.marks();

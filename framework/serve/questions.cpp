@@ -115,15 +115,9 @@ std::optional<Asked> choose_click(const ProposalInput& in) {
 }
 
 std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round) const {
-  ProposalInput input;
-  input.pool = &pool_;
-  input.graph = &graph_;
-  input.probability = pool_probability_;
-  input.classes = learner_.classes();
   std::vector<std::int32_t> passed;
   for (const Vec3d& place : skipped_)
     if (const std::int32_t point = pool_.cells.near(place); point >= 0) passed.push_back(point);
-  input.passed = passed;
   std::vector<bool> barred;
   if (std::any_of(ignored_.begin(), ignored_.end(), [](const auto& pixels) { return !pixels.empty(); })) {
     for (const PoolPoint& point : pool_.points) {
@@ -132,12 +126,9 @@ std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round)
       barred.push_back(!ignored_[v].empty() && ignored_[v][static_cast<std::size_t>(pixel)]);
     }
   }
-  input.barred = &barred;
-  input.seed = seed;
-  input.round = round;
-  input.rules = options_.proposals;
   const WorkScope scope(pipeline_.options().work);
-  return choose_click(input);
+  return choose_click(
+      {&pool_, &graph_, pool_probability_, classes(), passed, &barred, seed, round, options_.proposals});
 }
 
 void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {
@@ -157,11 +148,10 @@ void LabelRun::ask() {
   const std::optional<Asked> asked = loop_.propose(session().config.runtime.seed, asked_++);
   if (!asked) return;
   const PoolPoint& point = loop_.pool().points[static_cast<std::size_t>(asked->point)];
-  ProposalState proposal;
-  proposal.id = fmt::format("q{}", asked_);
-  proposal.view = point.view;
-  proposal.at = {point.pixel.column + 0.5, point.pixel.row + 0.5};
-  proposal.why = asked->why;
+  ProposalState proposal{fmt::format("q{}", asked_),
+                         point.view,
+                         {point.pixel.column + 0.5, point.pixel.row + 0.5},
+                         std::string(asked->why)};
   if (const std::vector<float>& p = loop_.pool_probability(); !p.empty()) {
     const auto row = p.begin() + std::ptrdiff_t{asked->point} * loop_.classes();
     const std::ptrdiff_t best = std::max_element(row, row + loop_.classes()) - row;
