@@ -34,7 +34,7 @@ class Loader {
 
   ConfigNode with_includes(const ConfigNode& local) {
     if (!local.is_map()) {
-      refuse_at(local.location(), "config.value.type",
+      refuse_at("config.value.type", local.location(),
                 "expected a map of sections at the top, got " + kind_text(local));
     }
     ConfigNode composed = ConfigNode::make_map({}, local.location());
@@ -51,7 +51,7 @@ class Loader {
  private:
   ConfigNode load_included(const ConfigNode& item) {
     if (!item.is_scalar())
-      refuse_at(item.location(), "config.include.file", "include: expected a file name, got " + kind_text(item));
+      refuse_at("config.include.file", item.location(), "include: expected a file name, got " + kind_text(item));
     const fs::path written(item.text());
     fs::path path =
         written.is_absolute() ? written : (fs::path(item.location().file).parent_path() / written).lexically_normal();
@@ -63,7 +63,7 @@ class Loader {
         if (!near.empty() && !near.ends_with(".yaml")) near += ".yaml";  // which an include has to write
         if (near == item.text()) near.clear();                           // a folder of that name
         noting(problems_, [&] {
-          refuse_at(item.location(), "config.include.file",
+          refuse_at("config.include.file", item.location(),
                     "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
                         (place.empty() ? ")" : " and '" + place + "')"),
                     near.empty() ? "paths in a config are relative to the file that wrote them"
@@ -81,11 +81,11 @@ class Loader {
     });
     if (first != open_.end()) {
       refuse_at(
-          item.location(), "config.include.cycle",
+          "config.include.cycle", item.location(),
           "include: '" + item.text() + "' includes itself: " + join({first, open_.end()}, " -> ") + " -> " + *first);
     }
     if (open_.size() >= kMaxIncludeDepth || ++included_ > kMaxIncludedFiles) {
-      refuse_at(item.location(), "config.include.limit",
+      refuse_at("config.include.limit", item.location(),
                 "include: more than " + std::to_string(kMaxIncludedFiles) + " files or " +
                     std::to_string(kMaxIncludeDepth) + " levels");
     }

@@ -9,10 +9,6 @@ std::string Location::text() const {
   return file + ":" + std::to_string(line) + ":" + std::to_string(column);
 }
 
-void refuse_at(const Location& where, Code code, const std::string& message, const std::string& remedy) {
-  throw Error(ErrorKind::config, code, where.text() + ": " + message, remedy);
-}
-
 ConfigNode::ConfigNode(Kind kind, Location where, bool quoted, std::string text, std::vector<ConfigNode> items,
                        std::vector<Entry> entries)
     : kind_(kind),

@@ -21,8 +21,10 @@ struct Location {
 };
 
 /// Throws Error(config): "room.yaml:7:5: MESSAGE".
-[[noreturn]] void refuse_at(const Location& where, Code code, const std::string& message,
-                            const std::string& remedy = {});
+[[noreturn]] inline void refuse_at(Code code, const Location& where, const std::string& message,
+                                   const std::string& remedy = {}) {
+  throw Error(ErrorKind::config, code, where.text() + ": " + message, remedy);
+}
 
 /// A value with its place. A default-constructed node is an empty map without a place.
 class ConfigNode {

@@ -56,7 +56,7 @@ std::size_t item_of(const ConfigNode& list, const std::string& segment, const st
   const std::string range = list.items().empty() ? "it is empty" : "0 to " + std::to_string(list.items().size() - 1);
   const std::string expected =
       names.empty() ? "an item's index, " + range : "an item's name (" + join(names) + ") or its index (" + range + ")";
-  refuse_at(origin, "config.set.key",
+  refuse_at("config.set.key", origin,
             key + " is a list (" + list.location().text() + "): expected " + expected + ", got '" + segment + "'",
             near_name_remedy(segment, names));
 }
@@ -71,7 +71,7 @@ void set_at(ConfigNode& node, const std::vector<std::string>& segments, std::siz
     return set_at(node.items()[index], segments, at + 1, value, origin);
   }
   if (node.is_scalar()) {
-    refuse_at(origin, "config.set.key",
+    refuse_at("config.set.key", origin,
               "'" + joined(segments, at) + "' is " + kind_text(node) + " (" + node.location().text() +
                   "), it has no key '" + segment + "'");
   }
@@ -90,11 +90,11 @@ void apply_override(ConfigNode& root, const ConfigOverride& over) {
   const std::vector<std::string_view> parts = parts_of(over.key, '.');
   const std::vector<std::string> segments(parts.begin(), parts.end());
   if (std::find(parts.begin(), parts.end(), "") != parts.end())
-    refuse_at(origin, "config.set.key", "empty key in '" + over.key + "'",
+    refuse_at("config.set.key", origin, "empty key in '" + over.key + "'",
               "write sections and keys with dots between: train.steps");
-  if (segments.size() > 32) refuse_at(origin, "config.set.key", "key path longer than 32 levels");
+  if (segments.size() > 32) refuse_at("config.set.key", origin, "key path longer than 32 levels");
   if (segments[0] == "include")
-    refuse_at(origin, "config.set.key", "include: files are included by a config, not by an override");
+    refuse_at("config.set.key", origin, "include: files are included by a config, not by an override");
   set_at(root, segments, 0, over.value, origin);
 }
 
@@ -104,7 +104,7 @@ ConfigOverride parse_override(const std::string& text) {
   const std::size_t key = text.starts_with("--") ? text.find(' ') + 1 : 0;
   const std::string origin = key > 0 ? text.substr(0, key) + text.substr(equals + 1) : "--set " + text;
   if (equals == std::string::npos)
-    refuse_at({origin, 0, 0}, "config.set.format", "expected KEY=VALUE", "for example --set train.steps=1000");
+    refuse_at("config.set.format", {origin, 0, 0}, "expected KEY=VALUE", "for example --set train.steps=1000");
   return {text.substr(key, equals - key), parse_config_value(std::string_view(text).substr(equals + 1), origin)};
 }
 
@@ -134,14 +134,14 @@ void resolve_like(ConfigNode& root) {
     const std::string own_name = name != nullptr ? name->text() : std::string();
     if (const ConfigNode* like = pass.find("like")) {
       if (!like->is_scalar())
-        refuse_at(like->location(), "config.value.type",
+        refuse_at("config.value.type", like->location(),
                   "like: expected the name of an earlier pass, got " + kind_text(*like));
       const auto known = std::find(names.rbegin(), names.rend(), like->text());
       if (known == names.rend()) {
         std::vector<std::string> given;
         std::copy_if(names.begin(), names.end(), std::back_inserter(given),
                      [](const std::string& n) { return !n.empty(); });
-        refuse_at(like->location(), "config.pass.like",
+        refuse_at("config.pass.like", like->location(),
                   "like: no earlier pass named '" + like->text() + "'" +
                       (given.empty() ? "; this is the first one with a name" : "; known: " + join(given)),
                   near_name_remedy(like->text(), given));

@@ -31,7 +31,7 @@ constexpr std::size_t kMaxKeyBytes = 512;
 constexpr const char* kUnclosedQuote = "a quoted text is not closed";
 
 [[noreturn]] void refuse_depth(const Location& where) {
-  refuse_at(where, "config.yaml.depth", "nested deeper than " + std::to_string(kMaxDepth) + " levels");
+  refuse_at("config.yaml.depth", where, "nested deeper than " + std::to_string(kMaxDepth) + " levels");
 }
 
 /// The text as yaml-cpp gets it, and how places in it are named.
@@ -107,13 +107,13 @@ class Source {
   void check_characters() const {
     for (std::size_t i = 0; i < text_.size();) {
       const auto byte = static_cast<unsigned char>(text_[i]);
-      if (byte == 0) refuse_at(at(i), "config.text.encoding", "NUL byte: this is not a text file");
+      if (byte == 0) refuse_at("config.text.encoding", at(i), "NUL byte: this is not a text file");
       if ((byte < 0x20 && byte != '\t' && byte != '\n') || byte == 0x7F) {
-        refuse_at(at(i), "config.text.encoding", "control character " + std::to_string(byte),
+        refuse_at("config.text.encoding", at(i), "control character " + std::to_string(byte),
                   "write it as an escape in double quotes");
       }
       const std::size_t length = utf8_length(text_, i);
-      if (length == 0) refuse_at(at(i), "config.text.encoding", "not valid UTF-8", "save the file as UTF-8");
+      if (length == 0) refuse_at("config.text.encoding", at(i), "not valid UTF-8", "save the file as UTF-8");
       i += length;
     }
   }
@@ -146,17 +146,17 @@ class TreeBuilder final : public YAML::EventHandler {
 
   void OnDocumentStart(const YAML::Mark& mark) override {
     if (++documents_ > 1)
-      refuse_at(source_.at(mark), "config.yaml.unsupported", "more than one YAML document",
+      refuse_at("config.yaml.unsupported", source_.at(mark), "more than one YAML document",
                 "keep one document in a file");
   }
   void OnDocumentEnd() override {}
 
   void OnAnchor(const YAML::Mark& mark, const std::string& name) override {
-    refuse_at(source_.at(mark), "config.yaml.unsupported", "anchors are not allowed ('&" + name + "')",
+    refuse_at("config.yaml.unsupported", source_.at(mark), "anchors are not allowed ('&" + name + "')",
               "use 'include' or write the value out");
   }
   void OnAlias(const YAML::Mark& mark, YAML::anchor_t) override {
-    refuse_at(source_.at(mark), "config.yaml.unsupported", "aliases are not allowed",
+    refuse_at("config.yaml.unsupported", source_.at(mark), "aliases are not allowed",
               "use 'include' or write the value out");
   }
   void OnNull(const YAML::Mark& mark, YAML::anchor_t) override {
@@ -169,8 +169,8 @@ class TreeBuilder final : public YAML::EventHandler {
   void OnScalar(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t, const std::string& value) override {
     check_tag(mark, tag);
     const Location where = source_.at(mark);
-    if (tag == "!" && !source_.quote_closes(mark)) refuse_at(where, "config.yaml.syntax", kUnclosedQuote);
-    if (value.find('\0') != std::string::npos) refuse_at(where, "config.text.encoding", "NUL character in a text");
+    if (tag == "!" && !source_.quote_closes(mark)) refuse_at("config.yaml.syntax", where, kUnclosedQuote);
+    if (value.find('\0') != std::string::npos) refuse_at("config.text.encoding", where, "NUL character in a text");
     add(ConfigNode::make_scalar(value, tag == "!", where));
   }
   void OnSequenceStart(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t,
@@ -196,14 +196,14 @@ class TreeBuilder final : public YAML::EventHandler {
 
   void check_tag(const YAML::Mark& mark, const std::string& tag) const {
     if (tag.empty() || tag == "?" || tag == "!") return;
-    refuse_at(source_.at(mark), "config.yaml.unsupported", "tags are not allowed ('" + tag + "')",
+    refuse_at("config.yaml.unsupported", source_.at(mark), "tags are not allowed ('" + tag + "')",
               "write the plain value");
   }
 
   void open(ConfigNode node) {
     if (static_cast<int>(stack_.size()) >= kMaxDepth) refuse_depth(node.location());
     if (in_map() && !stack_.back().key)
-      refuse_at(node.location(), "config.yaml.syntax",
+      refuse_at("config.yaml.syntax", node.location(),
                 "a list or a map where a key should stand (is a bracket left open?)");
     stack_.push_back({std::move(node)});
   }
@@ -234,15 +234,15 @@ class TreeBuilder final : public YAML::EventHandler {
   void set_key(Level& level, const ConfigNode& node) const {
     const Location& where = node.location();
     const std::string& key = node.text();
-    if (!node.is_scalar()) refuse_at(where, "config.yaml.syntax", "a key is missing before ':'");
-    if (key.empty()) refuse_at(where, "config.yaml.syntax", "a key must not be empty");
-    if (key.size() > kMaxKeyBytes) refuse_at(where, "config.yaml.syntax", "a key longer than 512 bytes");
+    if (!node.is_scalar()) refuse_at("config.yaml.syntax", where, "a key is missing before ':'");
+    if (key.empty()) refuse_at("config.yaml.syntax", where, "a key must not be empty");
+    if (key.size() > kMaxKeyBytes) refuse_at("config.yaml.syntax", where, "a key longer than 512 bytes");
     if (key == "<<" && !node.quoted()) {
-      refuse_at(where, "config.yaml.unsupported", "merge keys are not allowed",
+      refuse_at("config.yaml.unsupported", where, "merge keys are not allowed",
                 "use 'include' or write the values out");
     }
     if (!level.keys.insert(key).second) {
-      refuse_at(where, "config.key.twice",
+      refuse_at("config.key.twice", where,
                 "duplicate key '" + key + "' (first at " + level.node.find(key)->key_location().text() + ")",
                 "keep one of them");
     }
@@ -286,8 +286,8 @@ ConfigNode parse(std::string_view yaml, const std::string& name, bool is_value) 
   } catch (const YAML::Exception& error) {
     const Location where = source.at(error.mark);
     if (source.indented_by_tab(error.mark))
-      refuse_at(where, "config.yaml.syntax", "a tab cannot indent YAML", "use spaces");
-    refuse_at(where, "config.yaml.syntax", plain_message(error.msg));
+      refuse_at("config.yaml.syntax", where, "a tab cannot indent YAML", "use spaces");
+    refuse_at("config.yaml.syntax", where, plain_message(error.msg));
   }
   if (builder.has_document()) return builder.take_root();
   return is_value ? ConfigNode::make_null({name, 0, 0}) : ConfigNode::make_map({}, {name, 1, 1});

@@ -22,10 +22,6 @@ Annotations::Mark mark_of(const LabelEvent& event, int frame, const Camera& came
 
 }  // namespace
 
-void refuse_event(Code code, const LabelEvent& event, const std::string& message, const std::string& remedy) {
-  throw Error(ErrorKind::data, code, "event '" + event.id + "': " + message, remedy);
-}
-
 Annotations::Annotations(const SceneInfo& scene, int room) : own_(scene.classes.entries()) {
   for (const FrameInfo& frame : scene.frames) {
     frame_of_.emplace(frame.name, static_cast<int>(frames_.size()));

@@ -143,8 +143,10 @@ class Annotations {
 };
 
 /// Throws Error(data) that names the event.
-[[noreturn]] void refuse_event(Code code, const LabelEvent& event, const std::string& message,
-                               const std::string& remedy = {});
+[[noreturn]] inline void refuse_event(Code code, const LabelEvent& event, const std::string& message,
+                                      const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, "event '" + event.id + "': " + message, remedy);
+}
 
 /// Pixels of a frame of this size that the mark paints: those inside a filled outline (its line alone where it holds
 /// no pixel's centre), or those of stroke_runs.
