@@ -549,7 +549,8 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     source.fill(step, want);
     drawer.draw(step);
     const RayBatch host = want.view(pool.with_labels), seen = drawer.seen(step);
-    const RayBatch got = BatchLayout(host).in(drawer.batch(step), Device::cuda);
+    const BatchLayout layout(host);  // names of the batch are those of the layout
+    const RayBatch got = layout.in(drawer.batch(step), Device::cuda);
     expect_bits(there(got.origin), want.origin, "origin");
     expect_bits(there(got.direction), want.direction, "direction");
     expect_bits(there(got.near_far), want.near_far, "near and far");
