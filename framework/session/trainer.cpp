@@ -4,15 +4,13 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cmath>
-#include <tuple>
 
 #include "compute/isa.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
+#include "execution/soundness.h"
 #include "plugin/loader.h"
 #include "session/assembly.h"
-#include "system/checksum.h"
 
 namespace semfield {
 
@@ -28,18 +26,13 @@ std::unique_ptr<Session> opened(RunConfig config, Registry& registry, const Sess
   return session;
 }
 
-Error no_logit(const std::string& place, const std::string& name) {
-  return Error(ErrorKind::data, "labels.class.no_logit",
-               fmt::format("{}: no label had class '{}' when the session opened, so the network has no logit for it",
-                           place, name),
-               "open it with runtime.keep: [semantics, absent_classes]");
+std::unique_ptr<RaySource> own_rays(Session& session) {
+  const WorkSettings work = session.work();
+  const WorkScope scope(work);
+  return session.make_ray_source();
 }
 
 double steady_s() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
-
-std::string element_text(const Tensor<float>& t, std::int64_t element) {
-  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
-}
 
 }  // namespace
 
@@ -68,13 +61,10 @@ Trainer::Trainer(Session& session, TrainingListener* listener, std::unique_ptr<R
     : session_(session),
       work_(session.work()),
       listener_(listener),
-      rays_(std::move(rays)),
-      was_set_(session.scene.frames.size(), false),
+      rays_(rays ? std::move(rays) : own_rays(session)),
+      labels_(session, *rays_),
       modules_(module_checksums(session.config.plugins)),
       inputs_(std::move(inputs)) {
-  const WorkScope scope(work_);
-  if (!rays_) rays_ = session.make_ray_source();
-  if (session.config.labels.clicks) clicks_ = session.config.labels.clicks->known();
   start_pace();
 }
 
@@ -219,26 +209,6 @@ void Trainer::explain_failed_step() {
               "set runtime.precision: fp32, or lower train.adam.learning_rate");
 }
 
-// The tensor behind a value that is not finite: one that holds such a value, else the largest value of all if it is out
-// of all proportion.
-std::string Trainer::bad_tensor() const {
-  constexpr float kProportion = 1e10F;
-  float largest = kProportion;
-  std::string text;
-  for (const Tensor<float>& t : pipeline().store().all()) {
-    if (t.spec.role == TensorRole::rearranged) continue;
-    const std::int64_t bad = first_non_finite<float>(t.view(t.value));
-    if (bad >= 0) return fmt::format("'{}' holds {} at {}", t.name, t.value.data()[bad], element_text(t, bad));
-    for (std::int64_t i = 0; i < t.size() && t.spec.role != TensorRole::state; ++i) {
-      const float value = t.value.data()[i];
-      if (!(std::abs(value) > largest)) continue;
-      largest = std::abs(value);
-      text = fmt::format("the largest value is {:.6g} in '{}' at {}", value, t.name, element_text(t, i));
-    }
-  }
-  return text;
-}
-
 // Throws what stopped the step, with the ray's frame and pixel and the tensor behind it.
 void Trainer::fail(const Error& error) {
   const std::optional<RayFault> fault = pipeline().lanes().find_fault(step_, batch());
@@ -249,7 +219,7 @@ void Trainer::fail(const Error& error) {
   if (fault && !is_ray && fault->message() != error.message()) text += "; ";
   if (fault && (is_ray || fault->message() != error.message())) text += fault->message();
   if (fault) text += "; " + rays_->place_of_row(step_, fault->ray());
-  const std::string tensor = bad_tensor();
+  const std::string tensor = suspect_tensor(pipeline().store());
   if (!tensor.empty() && text.find(tensor) == std::string::npos) text += "; " + tensor;
   throw Error(cause.kind(), cause.code(), text + "; nothing was changed in this step", cause.remedy());
 }
@@ -297,116 +267,15 @@ SplitScore Trainer::evaluate(std::vector<int> frames) const {
   return session_.evaluate(session_.eval_job(std::move(frames)));
 }
 
-void Trainer::require_drawn(int frame) const {
-  const std::vector<int> drawn = session_.drawn_frames();
-  if (std::find(drawn.begin(), drawn.end(), frame) != drawn.end()) return;
-  throw Error(ErrorKind::data, "labels.frame.untrained",
-              fmt::format("frame {}: it is not a training frame, so none of its labels train", frame),
-              "name one of Session::drawn_frames");
-}
-
-// paint(frame) gives each of the frames other labels. Where it or the ray source throws, all are again as they were.
-template <class Paint>
-void Trainer::replace_labels(std::span<const int> frames, const Paint& paint) {
-  const WorkScope scope(work_);
-  TrainingLabels& labels = session_.labels;
-  std::vector<std::pair<TrainingLabels::Frame, std::vector<std::int64_t>>> before;
-  try {
-    for (const int frame : frames) {
-      const auto f = static_cast<std::size_t>(frame);
-      before.emplace_back(std::move(labels.frames[f]), std::move(labels.class_pixels[f]));
-      paint(f);
-    }
-    rays_->relabel();
-  } catch (...) {
-    for (std::size_t i = before.size(); i-- > 0;) {
-      const auto f = static_cast<std::size_t>(frames[i]);
-      std::tie(labels.frames[f], labels.class_pixels[f]) = std::move(before[i]);
-    }
-    rays_->relabel();
-    throw;
-  }
-}
-
 void Trainer::set_labels(int frame, std::vector<std::int16_t> labels) {
-  require_drawn(frame);
-  const auto f = static_cast<std::size_t>(frame);
-  const FrameInfo& info = session_.scene.info.frames[f];
-  const auto refuse = [&](Code code, const std::string& what, const std::string& remedy) {
-    throw Error(ErrorKind::data, code, fmt::format("labels of frame '{}': {}", info.name, what), remedy);
-  };
-  const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
-  if (std::ssize(labels) != std::int64_t{width} * height) {
-    refuse("labels.given.size", fmt::format("{} values for {} x {} pixels", labels.size(), width, height),
-           "give a class index, or -1 for none, for every pixel, row by row");
-  }
-  const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
-  std::vector<std::int64_t> counts(static_cast<std::size_t>(session_.classes()) + 1);
-  for (std::size_t p = 0; p < labels.size(); ++p) {
-    const std::int16_t label = labels[p];
-    if (label == kVoid) {
-      ++counts.back();
-      continue;
-    }
-    const auto place = [&] {
-      return fmt::format("pixel x {}, y {}", p % static_cast<std::size_t>(width), p / static_cast<std::size_t>(width));
-    };
-    if (label < 0 || label >= session_.classes()) {
-      refuse("labels.class.range",
-             fmt::format("{}: {} is not a class; there are {}", place(), label, session_.classes()),
-             "give class indices, which begin at 0, or -1 for none");
-    }
-    if (!session_.plan.semantics || logit_of_class[static_cast<std::size_t>(label)] == kVoid) {
-      throw no_logit(fmt::format("labels of frame '{}': {}", info.name, place()),
-                     session_.scene.info.classes.valid(label).name);
-    }
-    ++counts[static_cast<std::size_t>(label)];
-  }
+  const WorkScope scope(work_);
   (void)inputs();  // of the labels that there were
-  replace_labels({&frame, 1}, [&](std::size_t own) {
-    session_.labels.frames[own] = {};
-    session_.labels.frames[own].hard = LabelMap(std::move(labels));
-    session_.labels.class_pixels[own] = std::move(counts);
-  });
-  was_set_[f] = true;
+  labels_.set(frame, std::move(labels));
 }
 
 void Trainer::set_clicks(const Annotations& clicks, std::span<const int> frames) {
-  const ClassTable& classes = session_.scene.info.classes;
-  if (session_.labels.unclicked.empty() || clicks.classes().valid_count() != classes.valid_count()) {
-    throw Error(ErrorKind::data, "labels.clicks.foreign",
-                "clicks: they are not those of this session, which was opened for other ones",
-                "open it with scene.labels.clicks or .class_room, and apply events to a copy of config.labels.clicks");
-  }
-  for (const int frame : frames) require_drawn(frame);
-  const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
-  replace_labels(frames, [&](std::size_t f) {
-    paint_clicks(clicks, static_cast<int>(f), session_.labels);
-    const std::vector<std::int64_t>& counts = session_.labels.class_pixels[f];
-    for (std::size_t c = 0; c + 1 < counts.size(); ++c) {
-      if (counts[c] > 0 && logit_of_class[c] == kVoid)
-        throw no_logit(fmt::format("clicks in frame '{}'", session_.scene.info.frames[f].name),
-                       classes.valid(static_cast<int>(c)).name);
-    }
-  });
-  for (const int frame : frames)
-    was_set_[static_cast<std::size_t>(frame)] = session_.config.labels.selection.clicks.empty();
-  session_.scene.info.classes = clicks.classes();
-  clicks_ = clicks.known();
-}
-
-// "" where none were set.
-std::string Trainer::set_labels_name() const {
-  std::uint32_t crc = 0;
-  int frames = 0;
-  for (std::size_t f = 0; f < was_set_.size(); ++f) {
-    if (!was_set_[f]) continue;
-    ++frames;
-    const std::vector<std::int16_t> labels = session_.labels.frames[f].hard.expand();
-    crc = crc32c(std::as_bytes(std::span(session_.scene.info.frames[f].name)), crc);
-    crc = crc32c(std::as_bytes(std::span(labels)), crc);
-  }
-  return frames == 0 ? "" : fmt::format("{} frames, {:08x}", frames, crc);
+  const WorkScope scope(work_);
+  labels_.set_clicks(clicks, frames);
 }
 
 CheckpointFacts Trainer::facts() {
@@ -418,7 +287,7 @@ CheckpointFacts Trainer::facts() {
   facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
   facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
   facts.inputs = inputs();
-  facts.clicks = clicks_;
+  facts.clicks = labels_.clicks();
   facts.modules = modules_;
   return facts;
 }
@@ -434,7 +303,7 @@ std::vector<TensorRef> Trainer::state() {
 
 void Trainer::save(const std::string& path) {
   TensorMetadata metadata = checkpoint_metadata(facts(), identity_hash(session_.config));
-  if (const std::string name = set_labels_name(); !name.empty()) metadata[kSetLabels] = name;
+  if (const std::string name = labels_.name(); !name.empty()) metadata[kSetLabels] = name;
   write_safetensors(path, state(), metadata);
 }
 
@@ -444,7 +313,7 @@ void Trainer::load(const std::string& path) {
   const CheckpointFacts facts = read_checkpoint_facts(file);
   require_class_table(facts.classes, session_.scene.info.classes, session_.config.labels.clicks);
   const auto named = file.metadata().find(kSetLabels);
-  if (named != file.metadata().end() && named->second != set_labels_name()) {
+  if (named != file.metadata().end() && named->second != labels_.name()) {
     throw Error(ErrorKind::data, "checkpoint.labels.unset",
                 fmt::format("'{}': it was trained on labels that were set while it trained, and these "
                             "are not set here",

@@ -13,6 +13,7 @@
 
 #include "core/non_copyable.h"
 #include "formats/safetensors.h"
+#include "session/changed_labels.h"
 #include "session/checkpoint.h"
 #include "session/ray_source.h"
 #include "session/session.h"
@@ -136,20 +137,15 @@ class Trainer : NonCopyable {
   std::uint32_t terms_of(std::int64_t step) const;
   void note_density(const StepLosses& losses);
   void check_alive() const;
-  std::string bad_tensor() const;
   [[noreturn]] void fail(const Error& error);
   [[noreturn]] void explain_failed_step();
-
-  std::string set_labels_name() const;
-  void require_drawn(int frame) const;
-  template <class Paint>
-  void replace_labels(std::span<const int> frames, const Paint& paint);
 
   std::unique_ptr<Session> own_;  // null: borrowed
   Session& session_;
   WorkSettings work_;
   TrainingListener* listener_;
   std::unique_ptr<RaySource> rays_;
+  ChangedLabels labels_;
   std::int64_t step_ = 0;
   double train_s_ = 0;
   StepLosses losses_;
@@ -162,8 +158,6 @@ class Trainer : NonCopyable {
   std::optional<Pace> pace_;
   bool settled_ = false;
   std::atomic<bool> cancelled_{false};
-  std::optional<EventsKnown> clicks_;  // whose labels train
-  std::vector<bool> was_set_;          // by frame: its labels are those of set_labels
   std::map<std::string, std::string> modules_;
   std::optional<SceneInputs> inputs_;
 };
