@@ -5,11 +5,11 @@
 #include <memory>
 #include <string>
 
+#include "config/settings/run_config.h"
 #include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
-#include "session/settings/run_config.h"
 
 namespace semfield::app {
 

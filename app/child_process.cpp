@@ -18,8 +18,8 @@
 #include <utility>
 
 #include "app/signals.h"
+#include "core/files.h"
 #include "execution/ranks/ranks.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "core/files.h"
 #include "core/non_copyable.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

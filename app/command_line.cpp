@@ -21,13 +21,13 @@
 #include "app/verb.h"
 #include "compute/isa.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "execution/ranks/ranks.h"
 #include "plugin/loader.h"
 #include "plugin/module.h"
-#include "run/run_folder.h"
-#include "session/session.h"
-#include "system/files.h"
+#include "train/run_folder.h"
+#include "train/session.h"
 
 namespace semfield::app {
 

@@ -16,8 +16,8 @@
 
 #include "app/terminal.h"
 #include "core/error.h"
-#include "system/files.h"
-#include "system/process.h"
+#include "core/files.h"
+#include "core/process.h"
 
 namespace semfield::app {
 

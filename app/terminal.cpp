@@ -18,7 +18,7 @@
 #include "app/json_output.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "run/run_folder.h"
+#include "train/run_folder.h"
 
 namespace semfield::app {
 

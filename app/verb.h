@@ -11,8 +11,8 @@
 
 #include "app/app_context.h"
 #include "config/params.h"
+#include "config/settings/choices.h"
 #include "core/non_copyable.h"
-#include "session/settings/choices.h"
 
 namespace CLI {
 class App;
@@ -107,7 +107,7 @@ class Options : NonCopyable {
 /// What a verb does as one of several processes that mpirun or srun started.
 enum class Launch : std::uint8_t {
   alone,   ///< it is refused
-  ranks,   ///< rank 0 runs it with AppContext::ranks, and the others follow (session/session.h)
+  ranks,   ///< rank 0 runs it with AppContext::ranks, and the others follow (train/session.h)
   beside,  ///< every process runs it, and it sees to the others itself
 };
 

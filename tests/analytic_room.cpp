@@ -3,7 +3,7 @@
 #include <cstdlib>
 #include <string_view>
 
-#include "loading/packed_scene.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/analytic_scene.h"
 
 int main(int argc, char** argv) {

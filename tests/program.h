@@ -7,8 +7,8 @@
 #include <cstdlib>
 #include <stdexcept>
 
+#include "core/files.h"
 #include "core/text.h"
-#include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -4,8 +4,8 @@
 #include <filesystem>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "core/non_copyable.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -17,9 +17,9 @@
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "execution/device_library.h"
-#include "run/run_folder.h"
-#include "system/files.h"
+#include "train/run_folder.h"
 
 namespace semfield::app {
 

@@ -8,9 +8,9 @@
 #include "core/check.h"
 #include "core/rng.h"
 #include "model/param_store.h"
-#include "session/assembly.h"
-#include "session/ray_source.h"
-#include "session/trainer.h"
+#include "train/assembly.h"
+#include "train/ray_source.h"
+#include "train/trainer.h"
 
 namespace semfield {
 

@@ -10,8 +10,8 @@
 
 #include "core/non_copyable.h"
 #include "plugin/registry.h"
-#include "session/ray_source.h"
-#include "session/trainer.h"
+#include "train/ray_source.h"
+#include "train/trainer.h"
 
 namespace semfield {
 

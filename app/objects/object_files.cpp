@@ -12,13 +12,13 @@
 #include <map>
 #include <thread>
 
+#include "core/checksum.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "scene/scene.h"
 #include "surface/mesh/mesh_files.h"
-#include "system/checksum.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

@@ -9,10 +9,10 @@
 #include <vector>
 
 #include "app/json_output.h"
-#include "objects/find_objects.h"
-#include "objects/object_set.h"
+#include "core/files.h"
 #include "scene/scene.h"
-#include "system/files.h"
+#include "surface/objects/find_objects.h"
+#include "surface/objects/object_set.h"
 
 namespace semfield::app {
 

@@ -14,15 +14,15 @@
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "eval/image_output.h"
-#include "objects/object_set.h"
-#include "report/report.h"
-#include "run/run_folder.h"
+#include "eval/report/report.h"
 #include "scene/scene.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/shape/simplify.h"
 #include "surface/mesh/surface.h"
-#include "system/files.h"
+#include "surface/objects/object_set.h"
+#include "train/run_folder.h"
 
 namespace semfield::app {
 

@@ -9,11 +9,11 @@
 #include <vector>
 
 #include "app/app_context.h"
-#include "objects/object_set.h"
 #include "scene/classes/class_table.h"
-#include "session/session.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/surface.h"
+#include "surface/objects/object_set.h"
+#include "train/session.h"
 
 namespace semfield::app {
 

@@ -15,16 +15,16 @@
 #include "app/scene/inspect_report.h"
 #include "compute/parallel.h"
 #include "config/params.h"
+#include "core/files.h"
 #include "core/non_copyable.h"
 #include "core/text.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"
-#include "loading/frame_files.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_files.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

@@ -10,11 +10,11 @@
 #include "app/app_context.h"
 #include "config/config_tree.h"
 #include "labels/training_labels.h"
-#include "loading/capture/fix_cameras.h"
-#include "loading/frame_source.h"
-#include "loading/packed_scene.h"
 #include "plugin/dataset.h"
 #include "scene/camera_rig.h"
+#include "scene/loading/capture/fix_cameras.h"
+#include "scene/loading/frame_source.h"
+#include "scene/loading/packed_scene.h"
 
 namespace semfield::app {
 

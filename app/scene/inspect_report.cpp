@@ -10,8 +10,8 @@
 #include <utility>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

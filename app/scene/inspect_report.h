@@ -11,14 +11,14 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
-#include "loading/frame_source.h"
-#include "run/opened_run.h"
+#include "scene/loading/frame_source.h"
+#include "train/opened_run.h"
 
 namespace semfield::app {
 
 /// Frames, splits, sizes, extent, bounds, near and far, class table with pixel fractions of train and test and how many
 /// labelled training frames see each class, then every problem with its remedy. `depth_use`: what training makes of
-/// depth images (session/settings/run_config.h). Ends with a line feed.
+/// depth images (config/settings/run_config.h). Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
 Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
@@ -52,7 +52,7 @@ std::vector<NextStep> next_of_look(const std::string& run);
 /// What was found, as notes.
 void print_findings(const AppContext& context, const Diagnostics& diagnostics);
 
-/// As open_run (run/opened_run.h), by all processes of the launcher; findings are printed.
+/// As open_run (train/opened_run.h), by all processes of the launcher; findings are printed.
 OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context);
 
 }  // namespace semfield::app

@@ -13,8 +13,8 @@
 #include "app/child_process.h"
 #include "app/serve/page_host.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "formats/zip_archive.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

@@ -12,7 +12,7 @@
 #include <optional>
 
 #include "core/error.h"
-#include "system/files.h"
+#include "core/files.h"
 
 namespace semfield::app {
 

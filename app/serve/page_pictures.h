@@ -9,7 +9,7 @@
 #include "app/json_output.h"
 #include "formats/image_io.h"
 #include "labels/mask_outlines.h"
-#include "serve/label_state.h"
+#include "labels/serve/label_state.h"
 
 namespace semfield::app {
 

@@ -13,9 +13,9 @@
 #include "app/json_output.h"
 #include "core/error.h"
 #include "eval/evaluator.h"
+#include "labels/serve/label_state.h"
 #include "labels/strict_json.h"
 #include "scene/camera.h"
-#include "serve/label_state.h"
 
 namespace semfield::app {
 

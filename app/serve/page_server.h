@@ -11,7 +11,7 @@
 #include "app/serve/page_files.h"
 #include "app/serve/page_host.h"
 #include "core/non_copyable.h"
-#include "serve/label_session.h"
+#include "labels/serve/label_session.h"
 
 namespace semfield::app {
 

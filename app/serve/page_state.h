@@ -7,7 +7,7 @@
 
 #include "app/json_output.h"
 #include "app/serve/page_exports.h"
-#include "serve/label_session.h"
+#include "labels/serve/label_session.h"
 
 namespace semfield::app {
 

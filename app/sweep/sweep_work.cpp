@@ -22,10 +22,10 @@
 #include "app/signals.h"
 #include "config/config_tree.h"
 #include "core/error.h"
-#include "report/report.h"
-#include "report/sweep.h"
-#include "system/files.h"
-#include "system/process.h"
+#include "core/files.h"
+#include "core/process.h"
+#include "eval/report/report.h"
+#include "eval/report/sweep.h"
 
 namespace semfield::app {
 

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "report/sweep.h"
-#include "system/files.h"
+#include "core/files.h"
+#include "eval/report/sweep.h"
 
 namespace semfield::app {
 

@@ -29,15 +29,15 @@
 #include "config/explain.h"
 #include "config/params.h"
 #include "config/schema.h"
+#include "config/settings/choices.h"
+#include "config/settings/run_config.h"
 #include "core/error.h"
+#include "core/files.h"
+#include "core/process.h"
 #include "execution/device_library.h"
 #include "plugin/loader.h"
 #include "plugin/reference.h"
-#include "session/assembly.h"
-#include "session/settings/choices.h"
-#include "session/settings/run_config.h"
-#include "system/files.h"
-#include "system/process.h"
+#include "train/assembly.h"
 
 namespace semfield {
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(LawRow, kind, name, settings, build, status, found)

@@ -16,19 +16,19 @@
 #include "config/config_tree.h"
 #include "config/params.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_export.h"
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
-#include "run/opened_run.h"
-#include "run/run_folder.h"
+#include "labels/serve/view_pictures.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "serve/view_pictures.h"
 #include "surface/fuse/fusion.h"
-#include "system/files.h"
+#include "train/opened_run.h"
+#include "train/run_folder.h"
 
 namespace semfield::app {
 

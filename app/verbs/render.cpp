@@ -32,16 +32,16 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/non_copyable.h"
 #include "core/text.h"
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
-#include "run/opened_run.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
-#include "session/session.h"
-#include "system/files.h"
+#include "train/opened_run.h"
+#include "train/session.h"
 
 namespace semfield::app {
 

@@ -15,11 +15,11 @@
 #include "app/verb.h"
 #include "config/compose.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
-#include "loading/capture/fix_cameras.h"
-#include "loading/capture/prepare.h"
 #include "scene/camera_rig.h"
-#include "system/files.h"
+#include "scene/loading/capture/fix_cameras.h"
+#include "scene/loading/capture/prepare.h"
 
 namespace semfield::app {
 

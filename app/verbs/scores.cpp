@@ -11,13 +11,13 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "eval/metrics.h"
-#include "report/report.h"
-#include "run/run.h"
-#include "system/files.h"
+#include "eval/report/report.h"
+#include "train/run.h"
 
 namespace semfield::app {
 

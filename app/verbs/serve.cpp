@@ -19,11 +19,11 @@
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/non_copyable.h"
 #include "core/text.h"
-#include "run/run_folder.h"
-#include "serve/label_session.h"
-#include "system/files.h"
+#include "labels/serve/label_session.h"
+#include "train/run_folder.h"
 
 #endif
 

@@ -1,5 +1,5 @@
 // sweep, demo: verbs that start the program again for each of their parts.
-#include "report/sweep.h"
+#include "eval/report/sweep.h"
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -23,15 +23,15 @@
 #include "compute/parallel.h"
 #include "config/config_files.h"
 #include "config/config_tree.h"
+#include "config/settings/run_config.h"
 #include "core/error.h"
+#include "core/files.h"
+#include "core/process.h"
 #include "core/text.h"
 #include "core/view.h"
 #include "execution/device_library.h"
 #include "execution/ranks/ranks.h"
-#include "run/run_folder.h"
-#include "session/settings/run_config.h"
-#include "system/files.h"
-#include "system/process.h"
+#include "train/run_folder.h"
 
 namespace semfield::app {
 

@@ -14,10 +14,10 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "eval/metrics.h"
-#include "report/report.h"
-#include "run/run.h"
-#include "run/run_folder.h"
-#include "run/run_scores.h"
+#include "eval/report/report.h"
+#include "train/run.h"
+#include "train/run_folder.h"
+#include "train/run_scores.h"
 
 namespace semfield::app {
 

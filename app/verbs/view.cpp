@@ -32,10 +32,10 @@
 #include "core/non_copyable.h"
 #include "eval/field_points.h"
 #include "eval/image_output.h"
-#include "report/report.h"
-#include "run/opened_run.h"
-#include "run/run_folder.h"
-#include "serve/label_loop.h"
+#include "eval/report/report.h"
+#include "labels/serve/label_loop.h"
+#include "train/opened_run.h"
+#include "train/run_folder.h"
 
 #endif
 

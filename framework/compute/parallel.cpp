@@ -14,8 +14,8 @@
 #include <vector>
 
 #include "compute/isa.h"
+#include "core/process.h"
 #include "core/workspace.h"
-#include "system/process.h"
 
 namespace semfield {
 

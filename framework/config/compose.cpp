@@ -7,8 +7,8 @@
 
 #include "config/config_files.h"
 #include "config/explain.h"
+#include "core/files.h"
 #include "core/text.h"
-#include "system/files.h"
 
 namespace semfield {
 namespace {

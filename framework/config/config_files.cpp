@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "system/files.h"
+#include "core/files.h"
 
 namespace semfield {
 

@@ -15,8 +15,8 @@
 
 #include "config/config_tree.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
-#include "system/files.h"
 
 namespace semfield {
 

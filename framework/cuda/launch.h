@@ -15,7 +15,7 @@
 #include "core/view.h"
 #include "core/workspace.h"
 #include "execution/device_library.h"
-#include "losses/loss_list.h"
+#include "model/losses/loss_list.h"
 #include "model/optim/adam.h"
 
 namespace semfield::cuda {

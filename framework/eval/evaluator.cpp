@@ -12,10 +12,10 @@
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/check.h"
+#include "core/checksum.h"
 #include "core/text.h"
 #include "eval/metrics.h"
 #include "scene/classes/class_table.h"
-#include "system/checksum.h"
 
 namespace semfield {
 

@@ -57,7 +57,7 @@ std::string final_eval_json(const FinalEval& eval);
 /// Throws Error(data) naming `name` for what final_eval_json does not write.
 FinalEval parse_final_eval(std::string_view json, const std::string& name);
 
-/// What a round of self-training did (session/self_training.h).
+/// What a round of self-training did (train/self_training.h).
 struct SelfTrainingRound {
   std::int64_t step = 0;
   std::int64_t unlabelled_px = 0;            ///< training pixels without a label of their own

@@ -3,7 +3,7 @@
 #include <dlfcn.h>
 
 #include "core/error.h"
-#include "system/process.h"
+#include "core/process.h"
 
 namespace semfield {
 

@@ -13,7 +13,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "execution/soundness.h"
-#include "losses/semantic_cross_entropy.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {

@@ -7,9 +7,9 @@
 #include <type_traits>
 
 #include "core/check.h"
+#include "core/checksum.h"
 #include "core/view.h"
 #include "execution/lane_executor.h"
-#include "system/checksum.h"
 
 namespace semfield {
 

@@ -6,7 +6,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "execution/lane_executor.h"
-#include "losses/semantic_cross_entropy.h"
+#include "model/losses/semantic_cross_entropy.h"
 
 namespace semfield {
 

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "execution/train_rays.h"
-#include "losses/loss_list.h"
+#include "model/losses/loss_list.h"
 #include "model/param_store.h"
 
 namespace semfield {

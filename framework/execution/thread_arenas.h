@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "compute/parallel.h"
+#include "core/process.h"
 #include "core/workspace.h"
-#include "system/process.h"
 
 namespace semfield {
 

@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <vector>
 
-#include "losses/loss_list.h"
-#include "losses/semantic_cross_entropy.h"
 #include "model/camera_corrections.h"
+#include "model/losses/loss_list.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "model/pass.h"
 
 namespace semfield {

@@ -15,9 +15,9 @@
 
 #include "core/check.h"
 #include "core/error.h"
+#include "core/files.h"
+#include "core/process.h"
 #include "formats/npz.h"
-#include "system/files.h"
-#include "system/process.h"
 
 namespace semfield {
 

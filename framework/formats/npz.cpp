@@ -6,11 +6,11 @@
 #include <filesystem>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "core/half.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
 #include "formats/zip_archive.h"
-#include "system/files.h"
 
 namespace semfield {
 

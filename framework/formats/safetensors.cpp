@@ -12,10 +12,10 @@
 #include <optional>
 
 #include "core/check.h"
+#include "core/checksum.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "formats/text_rows.h"
-#include "system/checksum.h"
-#include "system/files.h"
 
 namespace semfield {
 

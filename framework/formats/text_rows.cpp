@@ -6,9 +6,9 @@
 #include <optional>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "core/workspace.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -8,7 +8,7 @@
 #include <new>
 
 #include "core/error.h"
-#include "system/files.h"
+#include "core/files.h"
 
 namespace semfield {
 

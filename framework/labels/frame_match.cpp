@@ -6,10 +6,10 @@
 #include <filesystem>
 #include <set>
 
+#include "core/files.h"
 #include "labels/label_files.h"
-#include "loading/frame_files.h"
+#include "scene/loading/frame_files.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

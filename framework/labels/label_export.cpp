@@ -4,10 +4,10 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "core/files.h"
 #include "labels/mask_outlines.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -5,11 +5,11 @@
 #include <filesystem>
 #include <system_error>
 
+#include "core/files.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -13,8 +13,8 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "core/non_copyable.h"
-#include "loading/frame_source.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_source.h"
 
 namespace semfield {
 

@@ -7,10 +7,10 @@
 #include <string>
 #include <vector>
 
+#include "core/files.h"
 #include "core/text.h"
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -11,14 +11,14 @@
 
 #include "compute/parallel.h"
 #include "core/check.h"
+#include "core/checksum.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "labels/label_files.h"
-#include "loading/frame_files.h"
+#include "scene/loading/frame_files.h"
 #include "scene/scene.h"
-#include "system/checksum.h"
-#include "system/files.h"
 
 namespace semfield {
 

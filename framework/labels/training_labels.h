@@ -14,7 +14,7 @@
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
-#include "loading/frame_source.h"
+#include "scene/loading/frame_source.h"
 
 namespace semfield {
 

@@ -9,8 +9,8 @@
 #include "core/error.h"
 #include "core/host_device.h"
 #include "core/small_math.h"
-#include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "plugin/encoder.h"
 
 namespace semfield {

@@ -13,8 +13,8 @@
 #include "compute/layers.h"
 #include "compute/math_functions.h"
 #include "core/check.h"
-#include "losses/semantic_cross_entropy.h"
 #include "model/camera_corrections.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {

@@ -14,11 +14,11 @@
 #include <fstream>
 #include <string_view>
 
+#include "core/checksum.h"
+#include "core/files.h"
+#include "core/process.h"
 #include "core/text.h"
 #include "plugin/module.h"
-#include "system/checksum.h"
-#include "system/files.h"
-#include "system/process.h"
 
 namespace semfield {
 

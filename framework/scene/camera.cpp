@@ -17,10 +17,10 @@
 #include <system_error>
 
 #include "core/check.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -8,9 +8,9 @@
 
 #include "config/config_tree.h"
 #include "config/params.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "plugin/kernels.h"
-#include "system/files.h"
 
 namespace semfield::testkit {
 

@@ -1,15 +1,15 @@
 // semfield._core: what the package in python/semfield is made of. Users see the package alone.
 #include <pybind11/stl.h>
 
+#include "config/settings/run_config.h"
 #include "core/check.h"
-#include "loading/packed_scene.h"
 #include "model/compositor.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
-#include "run/run_folder.h"
-#include "session/settings/run_config.h"
+#include "scene/loading/packed_scene.h"
+#include "train/run_folder.h"
 
 namespace semfield::python {
 

@@ -5,8 +5,8 @@
 
 #include <string>
 
+#include "config/settings/run_config.h"
 #include "plugin/registry.h"
-#include "session/settings/run_config.h"
 
 namespace semfield::python {
 

@@ -17,14 +17,14 @@
 #include "core/workspace.h"
 #include "eval/field_points.h"
 #include "eval/final_eval.h"
+#include "eval/report/report.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
-#include "report/report.h"
-#include "run/run.h"
-#include "run/run_scores.h"
 #include "scene/scene.h"
+#include "train/run.h"
+#include "train/run_scores.h"
 
 namespace semfield::python {
 

@@ -6,8 +6,8 @@
 #include <string>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "plugin/loader.h"
-#include "system/files.h"
 
 namespace {
 

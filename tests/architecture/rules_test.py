@@ -17,42 +17,39 @@ OBJECTS = sys.argv[2] if len(sys.argv) > 2 else None
 SOURCES = (".h", ".cpp", ".cu", ".cuh")
 
 # A folder and those that it may include. Folders inside a folder stand on its floor, but for those that are named.
-GROUND = {"core", "system", "compute"}
+GROUND = {"core", "compute"}
 SCENE = GROUND | {"config", "formats", "scene/classes", "scene"}
-LOADING = SCENE | {"scene/survey", "loading"}
-MODEL = SCENE | {"plugin", "losses", "model/optim", "model"}
+LOADING = SCENE | {"scene/survey", "scene/loading"}
+MODEL = SCENE | {"plugin", "model/losses", "model/optim", "model"}
 EXECUTION = MODEL | {"execution/ranks", "execution"}
-SETTINGS = EXECUTION | {"scene/survey", "loading", "labels", "model/optim", "session/settings"}
-RUN = SETTINGS | {"eval", "session", "run"}
+SETTINGS = EXECUTION | {"scene/survey", "scene/loading", "labels", "model/optim", "config/settings"}
+TRAIN = SETTINGS | {"eval", "train"}
 FLOORS = {
     "core": {"core"},
-    "system": {"core", "system"},
-    "execution/ranks": {"core", "system", "execution/ranks"},
+    "execution/ranks": {"core", "execution/ranks"},
     "compute": GROUND,
     "config": GROUND | {"config"},
     "formats": GROUND | {"config", "formats"},
     "scene/classes": GROUND | {"config", "formats", "scene/classes"},
     "scene": SCENE,
     "scene/survey": SCENE | {"scene/survey"},
-    "loading": LOADING,
-    "capture": LOADING | {"capture"},
+    "scene/loading": LOADING,
     "plugin": SCENE | {"plugin"},
     "labels": LOADING | {"plugin", "labels"},
-    "losses": SCENE | {"plugin", "losses"},
+    "model/losses": SCENE | {"plugin", "model/losses"},
     "model/optim": GROUND | {"config", "model/optim"},
     "model": MODEL,
     "execution": EXECUTION,
     "cuda": EXECUTION | {"cuda"},
-    "eval": EXECUTION | {"scene/survey", "loading", "labels", "eval"},
-    "surface": EXECUTION | {"scene/survey", "loading", "labels", "eval", "surface"},
-    "session/settings": SETTINGS,
-    "session": SETTINGS | {"eval", "session"},
-    "run": RUN,
-    "report": RUN | {"report"},
-    "surface/fuse": SETTINGS | {"eval", "session", "surface", "surface/fuse"},
-    "objects": SETTINGS | {"eval", "session", "surface", "objects"},
+    "eval": EXECUTION | {"scene/survey", "scene/loading", "labels", "eval"},
+    "surface": EXECUTION | {"scene/survey", "scene/loading", "labels", "eval", "surface"},
+    "config/settings": SETTINGS,
+    "train": TRAIN,
+    "eval/report": TRAIN | {"eval/report"},
+    "surface/fuse": TRAIN | {"surface", "surface/fuse"},
+    "surface/objects": TRAIN | {"surface", "surface/objects"},
     "surface/mesh": SETTINGS | {"eval", "surface", "surface/mesh"},
-    "serve": RUN | {"surface", "serve"},
+    "labels/serve": TRAIN | {"surface", "labels/serve"},
     "testkit": set(),  # includes all of them
 }
 # Libraries with exactly one user, and those that may not enter a header.
@@ -68,8 +65,8 @@ ONLY = {
 NOT_IN_HEADERS = ("Eigen/", "nlohmann/", "CLI/", "fmt/", "embree")
 PLUGINS = ("encoders/", "fields/", "samplers/", "datasets/", "label_readers/", "degradations/", "groupings/", "fused/",
            "plugins/")
-SDK = {"core", "system", "compute", "plugin"}
-OF_SCENES = {"formats", "scene/classes", "scene", "scene/survey", "loading"}
+SDK = {"core", "compute", "plugin"}
+OF_SCENES = {"formats", "scene/classes", "scene", "scene/survey", "scene/loading"}
 
 
 def files_under(folder, endings=SOURCES):
@@ -117,7 +114,7 @@ def forbidden_in_framework(path, target):
         return "the framework includes neither the application nor tests"
     if folder not in FLOORS:
         return f"framework/{folder} stands on no floor of the table"
-    if folder == "losses" and other == "cuda" and path.endswith("_cuda.cu"):
+    if folder == "model/losses" and other == "cuda" and path.endswith("_cuda.cu"):
         return ""  # kernels of a loss lie in its folder
     if folder != "testkit" and other in FLOORS and other not in FLOORS[folder]:
         return f"{folder} may not include {other}"
@@ -141,7 +138,7 @@ def forbidden_in_plugin(inside, target):
     if kind == "fused" and target == "model/encoded_field.h":
         return ""
     more = " and the folders of scenes, config/config_tree.h" if kind == "datasets" or of_labels else ""
-    return f"a plugin sees core, system, compute, config/params.h, plugin{more} alone"
+    return f"a plugin sees core, compute, config/params.h, plugin{more} alone"
 
 
 def why_forbidden(path, target):
@@ -172,24 +169,24 @@ class Includes(unittest.TestCase):
 
     def test_known_violations_are_forbidden(self):
         for path, target in (("framework/core/view.h", "config/params.h"),
-                             ("framework/system/files.cpp", "compute/parallel.h"),
+                             ("framework/core/files.cpp", "compute/parallel.h"),
                              ("framework/scene/classes/class_table.h", "scene/scene.h"),
                              ("framework/config/compose.cpp", "yaml-cpp/yaml.h"),
                              ("framework/scene/camera.cpp", "tiny_obj_loader.h"),
                              ("framework/plugin/encoder.h", "Eigen/Core"),
                              ("framework/execution/pipeline.cpp", "encoders/hash_grid/hash_grid.h"),
-                             ("framework/execution/pipeline.cpp", "session/trainer.h"),
-                             ("framework/losses/depth/depth.cpp", "cuda/kernels/device_code.cuh"),
-                             ("framework/session/trainer.cpp", "testkit/laws.h"),
-                             ("framework/session/trainer.cpp", "omp.h"),
+                             ("framework/execution/pipeline.cpp", "train/trainer.h"),
+                             ("framework/model/losses/depth/depth.cpp", "cuda/kernels/device_code.cuh"),
+                             ("framework/train/trainer.cpp", "testkit/laws.h"),
+                             ("framework/train/trainer.cpp", "omp.h"),
                              ("framework/surprise/new.cpp", "core/view.h"),
-                             ("framework/surface/fuse/fusion.cpp", "report/report.h"),
+                             ("framework/surface/fuse/fusion.cpp", "eval/report/report.h"),
                              ("plugins/encoders/hash_grid/hash_grid.cpp", "encoders/frequency/frequency_math.h"),
                              ("plugins/encoders/hash_grid/hash_grid.cpp", "scene/scene.h"),
                              ("plugins/encoders/hash_grid/hash_grid.cpp", "config/config_tree.h"),
                              ("plugins/encoders/hash_grid/hash_grid_kernels.h", "cuda_runtime.h"),
                              ("plugins/label_readers/clicks/clicks.cpp", "eval/evaluator.h"),
-                             ("plugins/losses/mine/mine.cpp", "losses/depth/depth.h"),
+                             ("plugins/losses/mine/mine.cpp", "model/losses/depth/depth.h"),
                              ("app/main.cpp", "encoders/hash_grid/hash_grid.h"),
                              ("app/verb.h", "CLI/CLI.hpp")):
             with self.subTest(path=path, target=target):
@@ -197,11 +194,11 @@ class Includes(unittest.TestCase):
 
     def test_known_arrows_are_allowed(self):
         for path, target in (("framework/config/yaml_reader.cpp", "yaml-cpp/yaml.h"),
-                             ("framework/session/trainer.cpp", "execution/pipeline.h"),
-                             ("framework/losses/depth/depth_cuda.cu", "cuda/kernels/device_code.cuh"),
-                             ("framework/testkit/laws.cpp", "session/trainer.h"),
+                             ("framework/train/trainer.cpp", "execution/pipeline.h"),
+                             ("framework/model/losses/depth/depth_cuda.cu", "cuda/kernels/device_code.cuh"),
+                             ("framework/testkit/laws.cpp", "train/trainer.h"),
                              ("plugins/encoders/hash_grid/hash_grid.cpp", "encoders/hash_grid/hash_grid_kernels.h"),
-                             ("plugins/datasets/replica/replica.cpp", "loading/frame_files.h"),
+                             ("plugins/datasets/replica/replica.cpp", "scene/loading/frame_files.h"),
                              ("plugins/fused/hash_mlp/hash_mlp.cpp", "encoders/hash_grid/hash_grid_math.h"),
                              ("plugins/encoders/hash_grid/hash_grid_test.cpp", "testkit/laws.h")):
             with self.subTest(path=path, target=target):
@@ -237,7 +234,7 @@ class PluginNames(unittest.TestCase):
         self.assertGreater(len(names), 8)
         self.assertGreater(len(files), 200)
         for path, text in files.items():
-            may_name = {"colmap"} if path.startswith(("framework/loading/capture/", "framework/loading/colmap_")) else \
+            may_name = {"colmap"} if path.startswith(("framework/scene/loading/capture/", "framework/scene/loading/colmap_")) else \
                 {"packed", "replica"} if path in ("app/verbs/scenes.cpp", "app/command_line.cpp") else set()
             for name in names:
                 for line in [] if name in may_name else lines_naming(text, name):

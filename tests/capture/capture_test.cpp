@@ -8,10 +8,10 @@
 
 #include "core/rng.h"
 #include "formats/image_io.h"
-#include "loading/capture/photographs.h"
-#include "loading/capture/prepare.h"
-#include "loading/colmap_model.h"
 #include "scene/camera.h"
+#include "scene/loading/capture/photographs.h"
+#include "scene/loading/capture/prepare.h"
+#include "scene/loading/colmap_model.h"
 #include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -1,5 +1,5 @@
 // Cameras of a scene with poses, fixed; a program stands for COLMAP that finds true corners in every photograph.
-#include "loading/capture/fix_cameras.h"
+#include "scene/loading/capture/fix_cameras.h"
 
 #include <gtest/gtest.h>
 #include <sqlite3.h>

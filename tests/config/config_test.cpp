@@ -18,7 +18,7 @@
 #include "config/explain.h"
 #include "config/params.h"
 #include "config/schema.h"
-#include "system/files.h"
+#include "core/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -4,8 +4,8 @@
 #include <filesystem>
 #include <sstream>
 
+#include "core/files.h"
 #include "formats/image_io.h"
-#include "system/files.h"
 #include "tests/analytic_scene.h"
 
 namespace semfield::testkit {

@@ -14,15 +14,15 @@
 #include <map>
 #include <set>
 
+#include "core/files.h"
+#include "core/process.h"
 #include "core/rng.h"
 #include "labels/clicks/click_log.h"
-#include "loading/packed_scene.h"
-#include "run/run_folder.h"
-#include "system/files.h"
-#include "system/process.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/crash/scenarios.h"
 #include "tests/crash/victim_runs.h"
 #include "tests/scene/tiny_scene.h"
+#include "train/run_folder.h"
 
 namespace semfield::testing_crash {
 namespace {

@@ -3,12 +3,12 @@
 
 #include <algorithm>
 
+#include "core/checksum.h"
+#include "core/files.h"
 #include "labels/clicks/click_log.h"
-#include "loading/packed_scene.h"
-#include "run/run_folder.h"
-#include "system/checksum.h"
-#include "system/files.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/scene/tiny_scene.h"
+#include "train/run_folder.h"
 
 namespace semfield::testing_crash {
 

@@ -5,8 +5,8 @@
 
 #include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
-#include "losses/semantic_cross_entropy.h"
-#include "objects/object_network.h"
+#include "model/losses/semantic_cross_entropy.h"
+#include "surface/objects/object_network.h"
 #include "testkit/compare.h"
 #include "testkit/loss_rays.h"
 #include "tests/conformance/rows.h"

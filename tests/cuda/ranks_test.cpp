@@ -5,12 +5,12 @@
 
 #include "cuda/ranks/gradient_sums.h"
 #include "execution/ranks_executor.h"
-#include "session/trainer.h"
 #include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/says.h"
 #include "tests/session/step_configs.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

@@ -9,10 +9,10 @@
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/compositor.h"
-#include "session/trainer.h"
 #include "testkit/compare.h"
 #include "tests/model/rays_of_slabs.h"
 #include "tests/session/step_configs.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

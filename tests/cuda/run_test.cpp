@@ -15,10 +15,10 @@
 #include "model/param_store.h"
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "scene/scene.h"
-#include "session/checkpoint.h"
 #include "testkit/compare.h"
 #include "tests/session/gradient_hook.h"
 #include "tests/session/step_configs.h"
+#include "train/checkpoint.h"
 
 namespace semfield {
 namespace {

@@ -4,10 +4,10 @@
 
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
+#include "core/files.h"
 #include "formats/image_io.h"
-#include "loading/frame_source.h"
+#include "scene/loading/frame_source.h"
 #include "scene/scene.h"
-#include "system/files.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/datasets/rewritten_poses.h"
 #include "tests/scene/tiny_scene.h"

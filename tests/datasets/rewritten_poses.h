@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "loading/frame_source.h"
+#include "scene/loading/frame_source.h"
 
 namespace semfield {
 

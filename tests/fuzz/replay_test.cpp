@@ -6,7 +6,7 @@
 #include <filesystem>
 #include <ostream>
 
-#include "system/files.h"
+#include "core/files.h"
 #include "tests/fuzz/targets.h"
 
 namespace semfield::fuzz {

@@ -9,16 +9,16 @@
 #include <cstdio>
 #include <regex>
 
+#include "core/checksum.h"
 #include "labels/clicks/click_log.h"
-#include "loading/packed_scene.h"
-#include "run/run.h"
-#include "run/run_folder.h"
-#include "serve/label_session.h"
-#include "session/trainer.h"
-#include "system/checksum.h"
+#include "labels/serve/label_session.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
+#include "train/run.h"
+#include "train/run_folder.h"
+#include "train/trainer.h"
 #ifdef SEMFIELD_PAGE
 #include "app/serve/page_pictures.h"
 #endif

@@ -2,8 +2,8 @@
 #include <gtest/gtest.h>
 
 #include "compute/math_functions.h"
-#include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "model/optim/adam.h"
 #include "model/stages.h"
 

@@ -6,10 +6,10 @@
 #include "execution/lane_executor.h"
 #include "model/optim/adam.h"
 #include "model/stages.h"
-#include "run/run.h"
-#include "session/checkpoint.h"
-#include "session/trainer.h"
 #include "tests/session/train_testing.h"
+#include "train/checkpoint.h"
+#include "train/run.h"
+#include "train/trainer.h"
 
 namespace semfield {
 

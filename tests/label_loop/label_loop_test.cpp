@@ -1,7 +1,7 @@
 // Clicks in the analytic room: what they name, what undoing them leaves, what a surface made anew keeps of them, and
 // how sure the labels are.
 
-#include "serve/label_loop.h"
+#include "labels/serve/label_loop.h"
 
 #include "core/rng.h"
 #include "testkit/compare.h"

@@ -1,6 +1,6 @@
 // A labelling session of the analytic room whose training runs in a thread of its own.
 
-#include "serve/label_session.h"
+#include "labels/serve/label_session.h"
 
 #include <sys/stat.h>
 
@@ -11,16 +11,16 @@
 #include <thread>
 
 #include "core/non_copyable.h"
+#include "eval/report/report.h"
 #include "labels/clicks/click_log.h"
 #include "labels/labelling_record.h"
-#include "loading/packed_scene.h"
-#include "report/report.h"
-#include "run/metrics_log.h"
-#include "run/opened_run.h"
-#include "run/run_folder.h"
-#include "serve/view_pictures.h"
+#include "labels/serve/view_pictures.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/scene/tiny_scene.h"
+#include "train/metrics_log.h"
+#include "train/opened_run.h"
+#include "train/run_folder.h"
 
 namespace semfield::testing_loop {
 namespace {

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "core/non_copyable.h"
-#include "serve/label_loop.h"
+#include "labels/serve/label_loop.h"
 #include "surface/surface_graph.h"
 #include "tests/analytic_scene.h"
 #include "tests/session/train_testing.h"

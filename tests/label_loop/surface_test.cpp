@@ -6,8 +6,8 @@
 
 #include "core/rng.h"
 #include "labels/mask_outlines.h"
-#include "serve/label_loop.h"
-#include "serve/view_pictures.h"
+#include "labels/serve/label_loop.h"
+#include "labels/serve/view_pictures.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/threads.h"
 

@@ -6,11 +6,11 @@
 #include <csignal>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
-#include "system/files.h"
 #include "tests/labels/reader_case.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -5,8 +5,8 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "loading/frame_source.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_source.h"
 #include "tests/labels/reader_case.h"
 #include "tests/says.h"
 

@@ -5,17 +5,17 @@
 #include <algorithm>
 #include <cstdlib>
 
+#include "core/files.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "system/files.h"
 #include "tests/labels/reader_case.h"
 #include "tests/says.h"
 #include "tests/scene/image_bytes.h"

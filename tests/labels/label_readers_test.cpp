@@ -11,7 +11,7 @@
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
-#include "loading/posed_photographs.h"
+#include "scene/loading/posed_photographs.h"
 #include "tests/labels/reader_case.h"
 #include "tests/scene/npz_files.h"
 #include "tests/scene/tiny_scene.h"

@@ -9,10 +9,10 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "session/trainer.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/score/mesh_score.h"
 #include "tests/session/train_testing.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

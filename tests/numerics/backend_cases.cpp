@@ -15,6 +15,8 @@
 #include "compute/layers.h"
 #include "compute/math_functions.h"
 #include "compute/parallel.h"
+#include "core/checksum.h"
+#include "core/files.h"
 #include "core/non_copyable.h"
 #include "core/rng.h"
 #include "core/text.h"
@@ -29,17 +31,15 @@
 #include "rooms.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "session/ray_source.h"
-#include "session/trainer.h"
 #include "surface/mesh/marching_cubes.h"
-#include "system/checksum.h"
-#include "system/files.h"
 #include "testkit/benches.h"
 #include "testkit/host_twin.h"
 #include "testkit/laws.h"
 #include "tests/encoder_box.h"
 #include "tests/model/rays_of_slabs.h"
 #include "tests/scene/room_files.h"
+#include "train/ray_source.h"
+#include "train/trainer.h"
 
 #if defined(__x86_64__)
 #include <xmmintrin.h>

@@ -5,18 +5,18 @@
 #include <numeric>
 
 #include "config/config_tree.h"
+#include "core/files.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
-#include "loading/frame_source.h"
 #include "named_case.h"
 #include "rooms.h"
-#include "run/run_folder.h"
-#include "session/trainer.h"
-#include "system/files.h"
+#include "scene/loading/frame_source.h"
 #include "testkit/loss_rays.h"
 #include "tests/scene/image_bytes.h"
 #include "tests/scene/room_files.h"
+#include "train/run_folder.h"
+#include "train/trainer.h"
 
 namespace semfield::numerics {
 

@@ -4,8 +4,8 @@
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "named_case.h"
-#include "run/metrics_log.h"
 #include "scene/classes/class_table.h"
+#include "train/metrics_log.h"
 
 namespace semfield::numerics {
 

@@ -5,9 +5,9 @@
 #include "core/non_copyable.h"
 #include "execution/lane_executor.h"
 #include "plugin/registry.h"
-#include "session/session.h"
-#include "session/trainer.h"
 #include "tests/threads.h"
+#include "train/session.h"
+#include "train/trainer.h"
 
 namespace semfield::numerics {
 

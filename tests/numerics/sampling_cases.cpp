@@ -5,10 +5,10 @@
 #include "compute/isa.h"
 #include "core/non_copyable.h"
 #include "execution/lane_executor.h"
-#include "loading/frame_source.h"
-#include "losses/semantic_cross_entropy.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "plugins/samplers/importance/importance_kernels.h"
 #include "ray_bench.h"
+#include "scene/loading/frame_source.h"
 #include "tests/analytic_scene.h"
 
 namespace semfield::numerics {

@@ -4,12 +4,12 @@
 #include <cstdlib>
 #include <iostream>
 
+#include "core/checksum.h"
+#include "core/files.h"
 #include "execution/lane_executor.h"
 #include "plugin/loader.h"
 #include "rooms.h"
-#include "session/trainer.h"
-#include "system/checksum.h"
-#include "system/files.h"
+#include "train/trainer.h"
 
 namespace semfield::numerics {
 namespace {

@@ -14,9 +14,9 @@
 
 #include "app/objects/object_files.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "formats/safetensors.h"
-#include "objects/object_set.h"
-#include "system/files.h"
+#include "surface/objects/object_set.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

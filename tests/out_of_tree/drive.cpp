@@ -4,7 +4,7 @@
 
 #include "config/config_tree.h"
 #include "plugin/loader.h"
-#include "session/trainer.h"
+#include "train/trainer.h"
 
 namespace {
 

@@ -7,9 +7,9 @@
 #include "execution/device_library.h"
 #include "plugin/loader.h"
 #include "ripples_kernels.h"
-#include "session/assembly.h"
 #include "testkit/host_twin.h"
 #include "testkit/laws.h"
+#include "train/assembly.h"
 
 namespace {
 

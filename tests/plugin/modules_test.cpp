@@ -2,9 +2,9 @@
 
 #include <atomic>
 
+#include "core/files.h"
+#include "core/process.h"
 #include "plugin/loader.h"
-#include "system/files.h"
-#include "system/process.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/scene/tiny_scene.h"
 

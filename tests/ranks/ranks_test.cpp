@@ -8,11 +8,11 @@
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
-#include "session/session.h"
-#include "session/trainer.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/says.h"
 #include "tests/session/step_configs.h"
+#include "train/session.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

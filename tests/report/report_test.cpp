@@ -1,5 +1,5 @@
 // What a report reads from run folders, and the page around it. report_page_test.py looks at the page in a browser.
-#include "report/report.h"
+#include "eval/report/report.h"
 
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -7,9 +7,9 @@
 #include "eval/final_eval.h"
 #include "formats/image_io.h"
 #include "labels/labelling_record.h"
-#include "run/metrics_log.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
+#include "train/metrics_log.h"
 
 namespace semfield {
 namespace {

@@ -3,14 +3,14 @@
 
 #include <cmath>
 
+#include "config/settings/choices.h"
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
-#include "run/metrics_log.h"
-#include "run/run_folder.h"
-#include "run/run_scores.h"
-#include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "tests/session/train_testing.h"
+#include "train/metrics_log.h"
+#include "train/run_folder.h"
+#include "train/run_scores.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

@@ -10,13 +10,13 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
+#include "core/checksum.h"
 #include "formats/safetensors.h"
-#include "run/metrics_log.h"
-#include "run/run_folder.h"
-#include "session/checkpoint.h"
-#include "system/checksum.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
+#include "train/checkpoint.h"
+#include "train/metrics_log.h"
+#include "train/run_folder.h"
 
 namespace semfield {
 namespace {

@@ -3,16 +3,16 @@
 
 #include <functional>
 
+#include "config/settings/choices.h"
+#include "core/process.h"
 #include "eval/final_eval.h"
-#include "loading/packed_scene.h"
-#include "run/opened_run.h"
-#include "run/run_folder.h"
-#include "session/self_training.h"
-#include "session/settings/choices.h"
-#include "system/process.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/session/train_testing.h"
+#include "train/opened_run.h"
+#include "train/run_folder.h"
+#include "train/self_training.h"
 
 namespace semfield {
 namespace {

@@ -13,17 +13,17 @@
 #include <string>
 #include <vector>
 
+#include "core/files.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "core/workspace.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "formats/text_rows.h"
-#include "loading/frame_files.h"
-#include "loading/frame_source.h"
-#include "loading/packed_scene.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/frame_source.h"
+#include "scene/loading/packed_scene.h"
 #include "scene/scene.h"
-#include "system/files.h"
 #include "tests/scene/image_bytes.h"
 #include "tests/scene/npz_files.h"
 #include "tests/scene/tiny_scene.h"

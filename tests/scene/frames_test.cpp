@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <string>
 
-#include "loading/frame_source.h"
+#include "scene/loading/frame_source.h"
 #include "scene/scene.h"
 #include "scene/survey/bundle.h"
 #include "scene/survey/geometry_survey.h"

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "system/checksum.h"
+#include "core/checksum.h"
 
 namespace semfield::testing_room {
 

@@ -5,9 +5,9 @@
 #include <filesystem>
 #include <fstream>
 
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield::testing_room {
 

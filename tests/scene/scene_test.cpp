@@ -8,11 +8,11 @@
 #include <set>
 #include <sstream>
 
-#include "loading/frame_files.h"
+#include "core/files.h"
 #include "scene/camera.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_files.h"
 #include "scene/survey/bundle.h"
-#include "system/files.h"
 #include "tests/scene/bundle_error.h"
 #include "tests/scene/tiny_scene.h"
 

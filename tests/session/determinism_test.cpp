@@ -6,12 +6,12 @@
 
 #include "compute/parallel.h"
 #include "config/compose.h"
+#include "core/checksum.h"
 #include "eval/evaluator.h"
 #include "execution/lane_executor.h"
-#include "session/trainer.h"
-#include "system/checksum.h"
 #include "tests/session/oracle.h"
 #include "tests/session/step_configs.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

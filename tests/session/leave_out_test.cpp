@@ -4,15 +4,15 @@
 #include <nlohmann/json.hpp>
 
 #include "compute/parallel.h"
+#include "config/settings/choices.h"
 #include "datasets/obj_room/obj_room.h"
 #include "execution/lane_executor.h"
-#include "run/opened_run.h"
-#include "run/run_folder.h"
-#include "session/assembly.h"
-#include "session/settings/choices.h"
 #include "tests/says.h"
 #include "tests/session/train_testing.h"
 #include "tests/threads.h"
+#include "train/assembly.h"
+#include "train/opened_run.h"
+#include "train/run_folder.h"
 
 namespace semfield {
 namespace {

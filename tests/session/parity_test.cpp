@@ -3,15 +3,15 @@
 #include <algorithm>
 #include <cmath>
 
+#include "config/settings/choices.h"
 #include "core/rng.h"
 #include "eval/field_points.h"
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"
-#include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/session/oracle.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

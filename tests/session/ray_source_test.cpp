@@ -1,18 +1,18 @@
 // Which pixels per step takes: fractions, order within tiles, independence of threads.
 
-#include "session/ray_source.h"
+#include "train/ray_source.h"
 
 #include <algorithm>
 #include <numeric>
 #include <ostream>
 #include <set>
 
+#include "config/settings/choices.h"
 #include "core/rng.h"
 #include "scene/scene.h"
-#include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "tests/session/gradient_hook.h"
 #include "tests/session/oracle.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

@@ -1,6 +1,6 @@
 // Reading a run's configuration: every error at once, and the resolved form repeats it; which device a run gets.
 
-#include "session/settings/run_config.h"
+#include "config/settings/run_config.h"
 
 #include <cstdlib>
 
@@ -9,16 +9,16 @@
 #include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/explain.h"
+#include "config/settings/choices.h"
 #include "core/rng.h"
 #include "core/view.h"
 #include "eval/evaluator.h"
-#include "loading/frame_source.h"
 #include "model/render_rules.h"
-#include "session/assembly.h"
-#include "session/settings/choices.h"
+#include "scene/loading/frame_source.h"
 #include "tests/analytic_scene.h"
 #include "tests/session/oracle.h"
 #include "tests/session/step_configs.h"
+#include "train/assembly.h"
 
 namespace semfield {
 namespace {

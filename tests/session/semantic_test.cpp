@@ -5,12 +5,12 @@
 #include <cmath>
 #include <numeric>
 
+#include "config/settings/choices.h"
 #include "eval/evaluator.h"
-#include "session/assembly.h"
-#include "session/ray_source.h"
-#include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "tests/session/oracle.h"
+#include "train/assembly.h"
+#include "train/ray_source.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

@@ -1,12 +1,12 @@
 #include "tests/session/train_testing.h"
 
 #include "compute/parallel.h"
-#include "loading/packed_scene.h"
+#include "core/checksum.h"
+#include "eval/report/report.h"
 #include "plugin/loader.h"
-#include "report/report.h"
-#include "run/run_folder.h"
-#include "system/checksum.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/analytic_scene.h"
+#include "train/run_folder.h"
 
 namespace semfield {
 

@@ -2,11 +2,11 @@
 #pragma once
 
 #include "plugin/registry.h"
-#include "run/run.h"
-#include "session/session.h"
-#include "session/trainer.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
+#include "train/run.h"
+#include "train/session.h"
+#include "train/trainer.h"
 
 namespace semfield::testing_train {
 

@@ -3,9 +3,9 @@
 #include <thread>
 
 #include "labels/clicks/click_log.h"
-#include "session/assembly.h"
-#include "session/trainer.h"
 #include "tests/session/train_testing.h"
+#include "train/assembly.h"
+#include "train/trainer.h"
 
 namespace semfield {
 namespace {

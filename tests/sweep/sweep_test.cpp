@@ -1,6 +1,6 @@
 // Sweep files: what becomes of grids, variants, scenes and lists of files, each error with its place; result tables.
 
-#include "report/sweep.h"
+#include "eval/report/sweep.h"
 
 #include <unistd.h>
 
@@ -11,8 +11,8 @@
 #include <sstream>
 
 #include "app/sweep/sweep_work.h"
+#include "config/settings/run_config.h"
 #include "plugin/loader.h"
-#include "session/settings/run_config.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
 

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/process.h"
 #include "cuda/steps/batch_drawer.h"
-#include "system/process.h"
 
 namespace semfield::cuda {
 

@@ -7,8 +7,8 @@
 #include <charconv>
 #include <cstdlib>
 
+#include "core/process.h"
 #include "core/text.h"
-#include "system/process.h"
 
 namespace semfield {
 

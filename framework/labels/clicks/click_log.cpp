@@ -9,11 +9,11 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "core/checksum.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "labels/strict_json.h"
-#include "system/checksum.h"
-#include "system/files.h"
 
 namespace semfield {
 

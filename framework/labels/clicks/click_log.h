@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "labels/mask_outlines.h"
-#include "system/files.h"
 
 namespace semfield {
 

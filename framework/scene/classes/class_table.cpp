@@ -22,9 +22,9 @@
 #include "config/config_tree.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -10,10 +10,10 @@
 #include <string>
 #include <vector>
 
+#include "config/settings/run_config.h"
 #include "labels/training_labels.h"
-#include "session/session.h"
-#include "session/settings/run_config.h"
 #include "surface/surface_graph.h"
+#include "train/session.h"
 
 namespace semfield {
 

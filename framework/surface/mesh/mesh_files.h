@@ -13,10 +13,10 @@
 #include <unordered_map>
 #include <vector>
 
+#include "core/files.h"
 #include "eval/evaluator.h"
 #include "scene/classes/class_table.h"
 #include "surface/mesh/surface.h"
-#include "system/files.h"
 
 namespace semfield {
 

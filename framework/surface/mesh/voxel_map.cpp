@@ -11,10 +11,10 @@
 #include <memory>
 
 #include "core/error.h"
+#include "core/files.h"
 #include "formats/npz.h"
 #include "formats/zip_archive.h"
 #include "surface/mesh/mesh_files.h"
-#include "system/files.h"
 
 namespace semfield {
 

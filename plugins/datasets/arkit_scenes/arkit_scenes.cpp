@@ -6,12 +6,12 @@
 #include <filesystem>
 #include <map>
 
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
-#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
-#include "system/files.h"
+#include "scene/loading/posed_photographs.h"
 
 namespace semfield {
 

@@ -4,9 +4,9 @@
 #include <cmath>
 #include <filesystem>
 
+#include "core/files.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
-#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 

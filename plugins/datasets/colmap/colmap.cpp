@@ -6,13 +6,13 @@
 #include <utility>
 #include <vector>
 
+#include "core/files.h"
 #include "core/text.h"
-#include "loading/colmap_model.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "plugin/module.h"
+#include "scene/loading/colmap_model.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -2,8 +2,8 @@
 #include <filesystem>
 #include <sstream>
 
+#include "core/files.h"
 #include "scene/camera.h"
-#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 

@@ -3,13 +3,13 @@
 #include <cmath>
 #include <filesystem>
 
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "plugin/module.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

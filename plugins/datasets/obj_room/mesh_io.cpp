@@ -18,11 +18,11 @@
 #include <sstream>
 #include <string_view>
 
+#include "core/files.h"
 #include "core/joined_sets.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
-#include "loading/frame_files.h"
-#include "system/files.h"
+#include "scene/loading/frame_files.h"
 
 namespace semfield {
 

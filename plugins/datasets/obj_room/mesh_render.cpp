@@ -11,13 +11,13 @@
 #include <type_traits>
 
 #include "compute/parallel.h"
+#include "core/checksum.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/rng.h"
 #include "datasets/obj_room/obj_room.h"
 #include "formats/image_io.h"
-#include "loading/packed_scene.h"
-#include "system/checksum.h"
-#include "system/files.h"
+#include "scene/loading/packed_scene.h"
 
 #ifdef SEMFIELD_WITH_RAYCAST
 #if SEMFIELD_EMBREE == 3

@@ -11,10 +11,10 @@
 #include <tuple>
 
 #include "config/config_tree.h"
+#include "core/files.h"
 #include "core/rng.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -246,7 +246,7 @@ class CastCache {
  public:
   /// Keeps nothing.
   CastCache() = default;
-  /// The room of that key. Keeps nothing where there is no cache folder (system/files.h).
+  /// The room of that key. Keeps nothing where there is no cache folder (core/files.h).
   explicit CastCache(const std::string& key);
 
   bool read(std::uint64_t number, const FrameInfo& frame, FrameBuffer& out) const;

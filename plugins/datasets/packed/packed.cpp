@@ -5,11 +5,11 @@
 
 #include "config/params.h"
 #include "core/check.h"
-#include "loading/packed_scene.h"
+#include "core/files.h"
 #include "plugin/dataset.h"
 #include "plugin/module.h"
+#include "scene/loading/packed_scene.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -1,7 +1,7 @@
 // A tiny packed scene.
 #include <filesystem>
 
-#include "loading/packed_scene.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/analytic_scene.h"
 #include "tests/conformance/dataset_samples.h"
 

@@ -1,5 +1,5 @@
 // Packed scenes as a dataset.
-#include "loading/packed_scene.h"
+#include "scene/loading/packed_scene.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"
 

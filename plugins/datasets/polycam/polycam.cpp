@@ -2,11 +2,11 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
+#include "core/files.h"
 #include "plugin/module.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -6,13 +6,13 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
+#include "core/files.h"
 #include "formats/text_rows.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -2,10 +2,10 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
-#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 #include "tests/scene/image_bytes.h"

@@ -1,8 +1,8 @@
 // Depth of Record3D exports, which is EXR. Poses, lens and refusals: tests/bad_files/indexes.cases.
 #include <nlohmann/json.hpp>
 
-#include "loading/frame_source.h"
 #include "scene/camera.h"
+#include "scene/loading/frame_source.h"
 #include "scene/scene.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/scene/image_bytes.h"

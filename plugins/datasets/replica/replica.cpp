@@ -16,15 +16,15 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -3,7 +3,7 @@
 
 #include <filesystem>
 
-#include "system/files.h"
+#include "core/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 

@@ -3,8 +3,8 @@
 
 #include <filesystem>
 
+#include "core/files.h"
 #include "formats/image_io.h"
-#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 

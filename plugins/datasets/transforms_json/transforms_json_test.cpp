@@ -3,7 +3,7 @@
 
 #include "formats/image_io.h"
 #include "formats/npz.h"
-#include "loading/frame_files.h"
+#include "scene/loading/frame_files.h"
 #include "scene/scene.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/scene/tiny_scene.h"

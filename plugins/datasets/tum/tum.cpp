@@ -10,14 +10,14 @@
 #include <map>
 #include <optional>
 
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "loading/frame_files.h"
-#include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
-#include "system/files.h"
+#include "scene/loading/frame_files.h"
+#include "scene/loading/posed_photographs.h"
 
 namespace semfield {
 

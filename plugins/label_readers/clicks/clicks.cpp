@@ -6,6 +6,7 @@
 #include <optional>
 #include <tuple>
 
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "labels/clicks/annotations.h"
@@ -14,7 +15,6 @@
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
 #include "plugin/module.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -6,15 +6,15 @@
 #include <filesystem>
 #include <span>
 
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "loading/frame_files.h"
 #include "plugin/module.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_files.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield {
 

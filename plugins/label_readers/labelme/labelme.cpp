@@ -7,12 +7,12 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/mask_json.h"
 #include "plugin/module.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -8,12 +8,12 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "core/files.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "plugin/module.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "losses/semantic_cross_entropy.h"
+#include "model/losses/semantic_cross_entropy.h"
 #include "testkit/loss_rays.h"
 
 namespace semfield {

@@ -9,8 +9,8 @@
 
 #include "app/scene/folder_scene.h"
 #include "core/error.h"
+#include "core/files.h"
 #include "datasets/obj_room/tests/obj_testing.h"
-#include "system/files.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/datasets/rewritten_poses.h"
 

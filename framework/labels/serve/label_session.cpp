@@ -1,0 +1,555 @@
+#include "labels/serve/label_session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <exception>
+#include <filesystem>
+#include <functional>
+#include <iterator>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/checksum.h"
+#include "core/error.h"
+#include "labels/clicks/annotations.h"
+#include "labels/serve/view_pictures.h"
+#include "labels/training_labels.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int64_t kFirstSurface = 150;  // steps before geometry is looked at
+constexpr std::int64_t kAfterChange = 300;   // steps that labels get which came when training had ended
+constexpr double kTendingShare = 0.05;       // of the time of training, once every view has a surface
+constexpr double kFirstTendingShare = 0.5;   // until then
+constexpr double kLookedAtShare = 0.5;       // of the time of training, for the view that somebody looks at
+constexpr double kSlice_s = 0.03;            // of work on clicks, between steps of training
+constexpr double kKeepAgain_s = 5;           // after files could not be written
+constexpr std::size_t kGivenPixels = 48;     // of a class in a frame whose labels the configuration gives
+constexpr std::size_t kMostGiven = 6000;
+constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
+
+std::uint64_t mix(std::uint64_t hash, std::uint64_t value) { return (hash ^ value) * 0x100000001B3ull; }
+
+// Tells marks of a frame apart that paint something else.
+std::vector<std::uint64_t> checksums(const Annotations& annotations, std::size_t frames) {
+  std::vector<std::uint64_t> sums(frames, 0);
+  for (const Annotations::Mark& mark : annotations.marks()) {
+    std::uint64_t& sum = sums[static_cast<std::size_t>(mark.frame)];
+    sum = mix(mix(sum + 1, std::hash<std::string>{}(mark.id)), static_cast<std::uint64_t>(mark.class_index + 2));
+  }
+  return sums;
+}
+
+// Test frames with pixels: they are looked at, and nothing is learned from them.
+std::vector<int> held_out_frames(const Session& session) {
+  std::vector<int> frames = session.scene.frames_of(Split::test);
+  std::erase_if(frames, [&](int f) { return session.scene.frames[static_cast<std::size_t>(f)].rgb.empty(); });
+  return frames;
+}
+
+}  // namespace
+
+LabelRun::LabelRun(std::unique_ptr<Run> run)
+    : run_(std::move(run)),
+      training_(run_->training()),
+      loop_(training_, training_.session().drawn_frames(), {}, held_out_frames(training_.session())),
+      pictures_(training_, loop_) {
+  view_of_frame_.assign(session().scene.frames.size(), -1);
+  for (std::size_t v = 0; v < loop_.views().size(); ++v)
+    view_of_frame_[static_cast<std::size_t>(loop_.views()[v].frame)] = static_cast<int>(v);
+  marked_.assign(session().scene.frames.size(), 0);
+  named_.resize(session().scene.frames.size());
+  given_ = given_labels();
+}
+
+// Pixels that the configuration's own labels name, some of every class in every frame.
+std::vector<LabelledPixels> LabelRun::given_labels() const {
+  std::vector<LabelledPixels> out;
+  std::size_t total = 0;
+  for (std::size_t v = 0; v < loop_.pooled().size() && total < kMostGiven; ++v) {
+    const auto frame = static_cast<std::size_t>(loop_.views()[v].frame);
+    if (frame >= session().labels.unclicked.size()) continue;
+    const TrainingLabels::Frame& labels = session().labels.unclicked[frame];
+    if (labels.empty()) continue;
+    std::vector<std::vector<std::uint32_t>> of(static_cast<std::size_t>(session().classes()));
+    for (std::size_t p = 0; p < labels.size(); ++p)
+      if (labels[p] >= 0) of[static_cast<std::size_t>(labels[p])].push_back(static_cast<std::uint32_t>(p));
+    const std::int32_t width = loop_.views()[v].photo->width_px;
+    for (std::size_t c = 0; c < of.size(); ++c) {
+      if (of[c].empty()) continue;
+      LabelledPixels some{static_cast<int>(v), static_cast<std::int16_t>(c), {}, kGivenWeight};
+      const std::size_t count = std::min(kGivenPixels, of[c].size());
+      for (std::size_t i = 0; i < count; ++i) {
+        const auto pixel = static_cast<std::int32_t>(of[c][(2 * i + 1) * of[c].size() / (2 * count)]);
+        some.pixels.push_back({pixel % width, pixel / width});
+      }
+      total += count;
+      out.push_back(std::move(some));
+    }
+  }
+  return out;
+}
+
+void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> changed) {
+  std::vector<std::vector<std::int16_t>> painted(view_of_frame_.size());
+  for (const int f : changed) named_[static_cast<std::size_t>(f)].clear();
+  for (const Annotations::Mark& mark : annotations.marks()) {
+    const auto frame = static_cast<std::size_t>(mark.frame);
+    if (mark.class_index == kVoid || view_of_frame_[frame] < 0 ||
+        std::find(changed.begin(), changed.end(), mark.frame) == changed.end())
+      continue;
+    if (painted[frame].empty()) painted[frame] = annotations.paint(mark.frame, {});
+    const Camera& camera = session().scene.info.frames[frame].camera;
+    LabelledPixels named{view_of_frame_[frame], static_cast<std::int16_t>(mark.class_index),
+                         pixels_of(mark, camera.width_px, camera.height_px, painted[frame])};
+    if (!named.pixels.empty()) named_[frame].push_back(std::move(named));
+  }
+  clicks_ = given_;
+  for (const std::vector<LabelledPixels>& of_frame : named_)
+    clicks_.insert(clicks_.end(), of_frame.begin(), of_frame.end());
+}
+
+void LabelRun::ignore_pixels(const Annotations& annotations, std::span<const int> frames) {
+  for (const int frame : frames) {
+    const auto f = static_cast<std::size_t>(frame);
+    if (view_of_frame_[f] < 0) continue;
+    const Camera& camera = session().scene.info.frames[f].camera;
+    std::vector<std::int16_t> labels(static_cast<std::size_t>(std::int64_t{camera.width_px} * camera.height_px), 0);
+    std::vector<bool> ignored;
+    if (annotations.clear_ignored(frame, camera.width_px, camera.height_px, labels))
+      std::transform(labels.begin(), labels.end(), std::back_inserter(ignored),
+                     [](std::int16_t l) { return l == kVoid; });
+    loop_.set_ignored(view_of_frame_[f], std::move(ignored));
+  }
+}
+
+void LabelRun::take(const Annotations& annotations) {
+  const std::vector<std::uint64_t> sums = checksums(annotations, marked_.size());
+  std::vector<int> changed;
+  for (std::size_t f = 0; f < sums.size(); ++f)
+    if (sums[f] != marked_[f]) changed.push_back(static_cast<int>(f));
+  training_.set_clicks(annotations, changed);
+  ignore_pixels(annotations, changed);
+  // What a run that goes on had learned already is no change.
+  if (!changed.empty() && taken_) changed_step_ = training_.step();
+  taken_ = true;
+  marked_ = sums;
+  name_pixels(annotations, changed);
+  pictures_.set_marks(annotations.marks());
+  if (!changed.empty() || !loop_.learned()) {
+    unlearned_ = true;
+    fold_ = 0;
+    held_back_.clear();
+    (void)learn_new(0.1);
+  }
+  std::uint64_t skips = 0;
+  for (const Annotations::Mark& mark : annotations.skips()) skips = mix(skips, std::hash<std::string>{}(mark.id));
+  if (skips != skips_) {
+    skips_ = skips;
+    std::vector<LabelledPixels> skipped;
+    for (const Annotations::Mark& mark : annotations.skips()) {
+      const auto frame = static_cast<std::size_t>(mark.frame);
+      const Camera& camera = session().scene.info.frames[frame].camera;
+      if (view_of_frame_[frame] >= 0)
+        skipped.push_back({view_of_frame_[frame], 0, pixels_of(mark, camera.width_px, camera.height_px)});
+    }
+    loop_.set_skipped(std::move(skipped));
+  }
+  summarise();
+  ask();
+}
+
+bool LabelRun::learn_new(double budget_s) {
+  if (!unlearned_ || !loop_.ready() || !loop_.find_places(clicks_, budget_s)) return false;
+  loop_.learn(clicks_, true);
+  unlearned_ = false;
+  learned_quickly_ = true;
+  return true;
+}
+
+bool LabelRun::still_learns() const {
+  return !training_.at_its_end() || (changed_step_ >= 0 && training_.step() < changed_step_ + kAfterChange);
+}
+
+bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) {
+  if (!still_learns()) return false;
+  const double before = training_.train_s();
+  const auto most = static_cast<std::int64_t>(std::clamp(budget_s / std::max(step_s_, 1e-5), 1.0, 256.0));
+  std::int64_t made = 0;
+  while (made < most) {
+    const std::span<const StepLosses> steps = run_->advance(most - made);
+    made += std::ssize(steps);
+    for (const StepLosses& losses : steps) {
+      const double share = mse_ == 0 ? 1 : 0.05;
+      mse_ += share * (losses.mse - mse_);
+      loss_ += share * (losses.total - loss_);
+    }
+    if (interrupted && interrupted()) break;
+  }
+  const double spent = training_.train_s() - before;
+  step_s_ = 0.8 * step_s_ + 0.2 * spent / static_cast<double>(made);
+  training_s_ += spent;
+  rays_per_s_ = static_cast<double>(session().config.train.rays) / step_s_;
+  return true;
+}
+
+bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
+  if (training_.step() < kFirstSurface && !training_.at_its_end()) return false;
+  const Clock::time_point start = Clock::now();
+  const bool trains = still_learns(), was_ready = loop_.ready();
+  bool changed = false;
+  if (!trains || tending_s_ < (was_ready ? kTendingShare : kFirstTendingShare) * training_s_ + 0.05) {
+    changed = loop_.update_surfaces(0.03);
+    tending_s_ += seconds_since(start);
+  }
+  if (!was_ready && loop_.ready()) tending_s_ = kTendingShare * training_s_;  // the first surfaces are paid
+  const bool learned = learn_new(kSlice_s);
+  changed = changed || learned;
+  if (learned || (changed && !proposal_)) ask();
+  if (looked_at && (!trains || refining_s_ < kLookedAtShare * training_s_ + 0.05)) {
+    const Clock::time_point refined = Clock::now();
+    changed = pictures_.refine(0.05) || changed;
+    refining_s_ += seconds_since(refined);
+  }
+  if (unlearned_) {
+    if (changed) summarise();
+    return changed;
+  }
+  if (pause && learned_quickly_) {
+    loop_.learn(clicks_);
+    learned_quickly_ = false;
+    changed = true;
+  } else if (quiet && loop_.learned()) {
+    changed = fit_a_fold() || changed;
+    loop_.refresh_places(clicks_, kSlice_s);
+  }
+  if (changed) summarise();
+  return changed;
+}
+
+bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
+
+void LabelRun::keep(bool checkpoint) {
+  failed_to_keep_ = Clock::now();
+  run_->write_rows();
+  run_->write_classes();
+  if (checkpoint || run_->save_is_due()) run_->save();
+  failed_to_keep_.reset();
+}
+
+/// What a piece of work threw.
+template <class Work>
+std::optional<Error> error_of(const Work& work) {
+  try {
+    work();
+  } catch (const Error& error) {
+    return error;
+  } catch (const std::exception& error) {
+    return Error(ErrorKind::failure, "internal.exception", error.what());
+  }
+  return std::nullopt;
+}
+
+namespace {
+
+constexpr int kClassRoom = 32;
+constexpr auto kPauseAfter = std::chrono::milliseconds(700);
+constexpr auto kQuietAfter = std::chrono::seconds(3);
+constexpr auto kLookedFor = std::chrono::seconds(10);
+
+// Keeps warnings for the page.
+class Noting final : public RunListener {
+ public:
+  explicit Noting(RunListener* told) : told_(told) {}
+  void note(const std::string& text) override {
+    if (told_ != nullptr) told_->note(text);
+  }
+  void warning(const std::string& text) override {
+    warnings.push_back(text);
+    if (told_ != nullptr) told_->warning(text);
+  }
+  std::vector<std::string> warnings;
+
+ private:
+  RunListener* told_;
+};
+
+// `warnings`: of while it was opened.
+std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                                    RunListener* listener, std::vector<std::string>& warnings) {
+  TrainRequest request;
+  request.driver = Driver::page;
+  request.out_dir = options.run_dir;
+  const std::filesystem::path folder = std::filesystem::absolute(options.run_dir);
+  request.resume = std::filesystem::exists(folder / "run.yaml");
+  LabelParams& labels = config.labels.selection;
+  if (labels.clicks.empty()) labels.clicks = (folder / kClickFile).string();
+  if (labels.class_room == 0) labels.class_room = options.class_room > 0 ? options.class_room : kClassRoom;
+  config.train.ray_source = RaySourceKind::label_balanced;
+  // Views of the page are where the files put them, and labels with them.
+  if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
+  Noting noting(listener);
+  auto run = std::make_unique<Run>(std::move(config), registry, request, listener, &noting);
+  warnings = std::move(noting.warnings);
+  return run;
+}
+
+}  // namespace
+
+LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                           RunListener* listener)
+    : run_(open_labelling(std::move(config), registry, options, listener, warnings_)),
+      annotations_(*run_.annotations()),
+      log_([&] {
+        Diagnostics ignored;  // stated when the scene was opened by the file
+        return open_click_log(opened().config.labels, run_dir(), ignored);
+      }()),
+      last_event_(Clock::now() - kQuietAfter),
+      last_look_(Clock::now() - kLookedFor) {
+  auto first = std::make_shared<LabelState>();
+  for (const PoolView& view : run_.loop().views()) {
+    const FrameInfo& info = opened().scene.info.frames[static_cast<std::size_t>(view.frame)];
+    const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
+    first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false,
+                            fmt::format("{:08x}", checksum), info.split == Split::test});
+  }
+  first->events = log_.events().size();
+  first->notes = warnings_;
+  name_classes(*first);
+  run_.describe(*first);
+  first->revision = 1;
+  state_ = std::move(first);
+}
+
+void LabelSession::poke() {
+  poked_ = true;
+  wanted_.notify_all();
+}
+
+template <class Change>
+void LabelSession::publish(const Change& change) {
+  const std::lock_guard lock(mutex_);
+  auto next = std::make_shared<LabelState>(*state_);
+  change(*next);
+  ++next->revision;
+  state_ = std::move(next);
+  changed_.notify_all();
+}
+
+// An event that `run_` does not know yet, or a picture.
+bool LabelSession::is_waited_for() const {
+  const std::lock_guard lock(mutex_);
+  return (taken_events_ && *taken_events_ < state_->events) ||
+         std::any_of(orders_.begin(), orders_.end(), [](const auto& order) { return !order->done(); });
+}
+
+bool LabelSession::apply(const LabelEvent& event) {
+  const std::lock_guard events(events_mutex_);
+  if (!annotations_.check(event)) return false;
+  log_.append(event);
+  annotations_.apply(event);
+  publish([&](LabelState& next) {
+    next.events = log_.events().size();
+    name_classes(next);
+    if (event.kind == LabelEventKind::click || event.kind == LabelEventKind::skip) next.proposal.reset();
+  });
+  const std::lock_guard lock(mutex_);
+  last_event_ = Clock::now();
+  poke();
+  return true;
+}
+
+std::shared_ptr<const LabelState> LabelSession::state() const {
+  const std::lock_guard lock(mutex_);
+  return state_;
+}
+
+std::shared_ptr<const LabelState> LabelSession::wait_state(std::uint64_t after, std::chrono::milliseconds most) const {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, most, [&] { return state_->revision > after || stopping_; });
+  return state_;
+}
+
+void LabelSession::save() {
+  std::unique_lock lock(mutex_);
+  const std::uint64_t mine = ++saves_wanted_;
+  poke();
+  changed_.wait(lock, [&] { return saves_made_ >= mine || ended_; });
+  if (saves_made_ < mine && !state_->failure.empty())
+    throw Error(ErrorKind::failure, "serve.training.failed", "training has ended with an error: " + state_->failure);
+  if (save_error_) throw *save_error_;
+}
+
+void LabelSession::stop() {
+  const std::lock_guard lock(mutex_);
+  stopping_ = true;
+  poke();
+  changed_.notify_all();
+}
+
+namespace {
+
+constexpr double kTurn_s = 0.03;  // of training between looks at what others want
+constexpr int kMostHurries = 8;   // turns in a row that leave surfaces for later, because somebody waits
+constexpr auto kIdle = std::chrono::milliseconds(100);
+constexpr auto kPublishEvery = std::chrono::milliseconds(400);
+
+bool is_write_error(const Error& error) {
+  return error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
+}
+
+}  // namespace
+
+// Copies what has come, and learns from it.
+void LabelSession::take_events() {
+  std::optional<Annotations> now;
+  std::uint64_t events = 0;
+  {
+    const std::lock_guard lock(events_mutex_);
+    events = log_.events().size();
+    if (events == taken_events_) return;
+    now = annotations_;
+  }
+  taken_events_ = events;
+  run_.take(*now);
+  publish_learned(true);
+}
+
+// What `run_` has come to; `labels`: those of views are other ones.
+void LabelSession::publish_learned(bool labels) {
+  publish([&](LabelState& next) {
+    run_.describe(next);
+    if (run_.knows_all() && taken_events_) next.overlay_events = *taken_events_;
+    if (labels) next.overlay_revision = next.revision + 1;
+  });
+}
+
+void LabelSession::serve_orders() {
+  std::shared_ptr<Order> order;
+  std::uint64_t overlay = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const bool full : {false, true}) {  // what comes quickly does not wait for what takes long
+      const auto first = std::find_if(orders_.begin(), orders_.end(),
+                                      [&](const auto& o) { return !o->done() && o->request.full == full; });
+      if (order == nullptr && first != orders_.end()) order = *first;
+    }
+    if (order == nullptr) return;
+    overlay = state_->overlay_revision;
+  }
+  std::optional<Picture> made;
+  std::optional<Error> error = error_of([&] {
+    run_.pictures().begin(order->request);
+    made = run_.pictures().work(kTurn_s);
+  });
+  while (!made && !error) {
+    {
+      const std::lock_guard lock(mutex_);
+      if (order->done() || stopping_) return;
+    }
+    attempt([&] { take_events(); });  // a click does not wait for a large picture
+    if (!failure_) attempt([&] { (void)run_.train(kTurn_s); });
+    error = error_of([&] { made = run_.pictures().work(kTurn_s); });
+  }
+  if (made) made->overlay_revision = overlay;
+  const std::lock_guard lock(mutex_);
+  if (order->done()) return;
+  order->made = std::move(made);
+  order->error = std::move(error);
+  changed_.notify_all();
+}
+
+void LabelSession::save_if_wanted() {
+  std::uint64_t wanted_now = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    wanted_now = saves_wanted_;
+    if (wanted_now == saves_made_ && (failure_ || !run_.keep_is_due())) return;
+    if (wanted_now != saves_made_ && !failure_ && !stopping_ && !run_.knows_all()) return;  // soon it does
+  }
+  std::optional<Error> error = error_of([&] {
+    run_.keep(wanted_now != saves_made_);
+    if (wanted_now != saves_made_) run_.write_record(*state());
+  });
+  const bool passes = error && is_write_error(*error);
+  if (error && !passes && wanted_now == saves_made_) return fail(*error);
+  const std::string trouble = passes ? shown(*error) : "";
+  if (trouble != trouble_told_) publish([&](LabelState& next) { next.trouble = trouble; });
+  trouble_told_ = trouble;
+  const std::lock_guard lock(mutex_);
+  save_error_ = std::move(error);
+  saves_made_ = wanted_now;
+  changed_.notify_all();
+}
+
+template <class Work>
+void LabelSession::attempt(const Work& work) {
+  if (const std::optional<Error> error = error_of(work)) fail(*error);
+}
+
+void LabelSession::fail(const Error& error) {
+  failure_ = error;
+  publish([&](LabelState& next) {
+    next.failure = shown(error);
+    next.phase = "training has ended with an error; labels are stored";
+  });
+}
+
+void LabelSession::run() {
+  // However it ends, whoever waits gets a response.
+  const std::unique_ptr<LabelSession, void (*)(LabelSession*)> ending(this, [](LabelSession* session) {
+    const std::lock_guard lock(session->mutex_);
+    session->ended_ = true;
+    session->changed_.notify_all();
+  });
+  Clock::time_point published = Clock::now();
+  const auto asked_to_stop = [&] {
+    const std::lock_guard lock(mutex_);
+    return stopping_;
+  };
+  bool untold = false;  // something has changed since the state was published
+  int hurries = 0;
+  while (!asked_to_stop()) {
+    bool busy = false, overlay = false;
+    attempt([&] { take_events(); });
+    serve_orders();
+    save_if_wanted();
+    if (!failure_) {
+      attempt([&] {
+        busy = run_.train(kTurn_s, [&] { return is_waited_for(); });
+        if (is_waited_for() && ++hurries <= kMostHurries) return;
+        hurries = 0;
+        std::unique_lock lock(mutex_);
+        const Clock::time_point now = Clock::now();
+        const bool looked_at = now - last_look_ < kLookedFor;
+        const Clock::duration quiet = now - last_event_;
+        lock.unlock();
+        overlay = run_.tend(looked_at, quiet > kPauseAfter, quiet > kQuietAfter);
+      });
+    }
+    untold = untold || busy || overlay;
+    if (untold && (overlay || !busy || Clock::now() - published >= kPublishEvery)) {
+      publish_learned(overlay);
+      published = Clock::now();
+      untold = false;
+    }
+    if (busy || overlay) continue;
+    std::unique_lock lock(mutex_);
+    wanted_.wait_for(lock, kIdle, [&] { return poked_; });
+    poked_ = false;
+  }
+  attempt([&] { take_events(); });
+  if (failure_) return;
+  run_.keep(true);
+  run_.write_record(*state());
+}
+
+}  // namespace semfield

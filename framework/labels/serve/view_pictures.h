@@ -1,0 +1,106 @@
+// Pictures for whoever looks: labels of views from their surfaces, or rendered, in pieces between steps.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "eval/evaluator.h"
+#include "labels/clicks/annotations.h"
+#include "labels/serve/label_loop.h"
+#include "labels/serve/label_state.h"
+#include "scene/scene.h"
+#include "surface/surface_graph.h"
+
+namespace semfield {
+
+/// Image point where a camera sees a world position; nothing behind the camera or outside of its image.
+std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place);
+
+/// pixel_of() where the place lies on the surface that the camera sees there by its map, up to `tolerance_m` or 3 % of
+/// the distance; nothing where something hides it, or where the map is not made yet.
+std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceMap& map, Vec3d place, double tolerance_m);
+
+/// The latest of the clicks, at most 1,000, that view `own` sees by `map`; its own are left out. They lie on the
+/// surface of the maps of their views; a stroke has up to eight places there.
+std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const SurfaceMap& map, int own,
+                                 std::span<const PoolView> views, const RayLimits& limits, double tolerance_m);
+
+/// Made by the thread that trains.
+class ViewPictures {
+ public:
+  ViewPictures(Trainer& training, LabelLoop& loop);
+
+  /// Begins a picture; what was under way is forgotten. Throws Error(usage) for a view that is not there.
+  void begin(const PictureRequest& request);
+  /// Works on it for about this long; the picture once it is done.
+  std::optional<Picture> work(double budget_s);
+
+  /// Clicks that pictures of other views show.
+  void set_marks(std::vector<Annotations::Mark> marks) { marks_ = std::move(marks); }
+
+  /// A view that is looked at gets a surface of its own at (nearly) every pixel, for about this long. True when the
+  /// labels of the view looked at last can be drawn more finely than before.
+  bool refine(double budget_s);
+
+ private:
+  struct Fine {
+    int view = 0;
+    SurfaceMap map;
+    std::int64_t done = 0;  ///< pixels
+    bool complete() const { return done == static_cast<std::int64_t>(map.distance_m.size()); }
+  };
+  Picture labels_of_view(const PictureRequest& request);
+  std::vector<SeenMark> seen_by(int view, const SurfaceMap& map) const;
+  // How far from the surface what lies on it may seem to be.
+  double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
+  void render_rows(double budget_s);
+
+  Trainer& training_;
+  LabelLoop& loop_;
+  std::vector<Fine> fine_;  // the one looked at last comes first
+  double rays_per_s_ = 60'000;
+  std::optional<PictureRequest> request_;
+  RayCamera camera_;
+  Picture picture_;
+  std::int32_t rows_done_ = 0;
+  std::vector<Annotations::Mark> marks_;
+  bool shows_labels_ = false;  // something was learned when it began; all of its rows have labels, or none
+  double spent_s_ = 0;
+};
+
+// Labels of every s-th pixel of a view, brought to its full size along the edges of the photograph, or to the size
+// of its stored image, which training may have made smaller.
+
+struct ViewLabels;
+
+/// Maps [height * width] of every `stride`-th pixel (eval/evaluator.h).
+struct CoarseLabels {
+  std::int32_t stride = 1, width_px = 0, height_px = 0;
+  std::vector<std::int16_t> label;
+  std::vector<std::uint8_t> entropy;
+};
+
+/// A pixel takes the label with the most weight among its four neighbours in the coarse map, weighted bilinearly and by
+/// how near their colours are to its own [Kopf07]; its entropy is their weighted mean.
+ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo);
+
+/// Labels are rendered at every `stride`-th pixel of the stored image, about as many as training saw, and brought to
+/// the others along its edges (upsampled).
+struct StoredSize {
+  Camera camera;            ///< of the stored image
+  std::int32_t stride = 1;  ///< FrameOptions::stride
+  std::string image;        ///< its file
+};
+
+/// None for a frame of that size already, one without an image file, and one whose file has another shape, such as one
+/// that is turned by its EXIF data.
+std::optional<StoredSize> stored_size_of(const FrameInfo& frame);
+
+/// `rendered`: by `size`'s camera and stride. Labels [height * width] of the stored image; throws as read_rgb.
+std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered);
+
+}  // namespace semfield
