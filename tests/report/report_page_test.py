@@ -6,7 +6,7 @@ import pathlib
 import sys
 import unittest
 
-PAGE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "framework", "report", "page")
+PAGE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "framework", "eval", "report", "page")
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "page"))
 import browser  # noqa: E402
 

@@ -38,7 +38,7 @@ assert {"semfield", "libsemfield-dev"} <= names <= {"semfield", "libsemfield-dev
 assert packaged["usr/bin/semfield"] == ["semfield"]
 assert packaged["usr/share/semfield/scenes/room/room.obj"] == ["semfield"]
 assert packaged["usr/share/man/man1/semfield.1.gz"] == ["semfield"]
-assert packaged["usr/include/semfield/system/files.h"] == ["libsemfield-dev"]
+assert packaged["usr/include/semfield/core/files.h"] == ["libsemfield-dev"]
 
 # A component that no package takes would be lost here, and one that two take could not be installed.
 installed = {os.path.relpath(os.path.join(folder, name), work)
