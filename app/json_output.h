@@ -16,14 +16,6 @@ inline std::string json_text(const Json& json, int indent = -1) {
   return json.dump(indent, ' ', false, Json::error_handler_t::replace);
 }
 
-/// What `to_json` makes of each.
-template <class Items, class ToJson>
-Json json_list(const Items& items, ToJson&& to_json) {
-  Json out = Json::array();
-  for (const auto& item : items) out.push_back(to_json(item));
-  return out;
-}
-
 /// `results` behind the program's version as `semfield` and the verb's name as `verb`, in one line with its end. Bytes
 /// that are no UTF-8, as names of folders may have, become the replacement character.
 std::string json_object(const AppContext& context, const Json& results);

@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "app/child_process.h"
-#include "app/serve/page_host.h"
+#include "app/serve/page_server.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "formats/zip_archive.h"

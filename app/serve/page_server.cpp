@@ -1,17 +1,33 @@
 #include "app/serve/page_server.h"
 
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/random.h>
+#include <sys/stat.h>
+#include <turbojpeg.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <array>
+#include <cerrno>
 #include <chrono>
+#include <cmath>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <thread>
 
-#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
-#include "app/serve/page_state.h"
+#include "core/check.h"
 #include "core/error.h"
+#include "core/files.h"
+#include "core/text.h"
+#include "formats/image_io.h"
 
 namespace semfield::app {
+
+namespace fs = std::filesystem;
 
 std::int64_t now_ms() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
@@ -26,6 +42,89 @@ constexpr auto kStateLook = std::chrono::milliseconds(100);  // at exports, and 
 constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
 constexpr const char* kJpeg = "image/jpeg";
 constexpr const char* kForEver = "private, max-age=31536000, immutable";
+
+Json run_json(const LabelState& s, const std::string& id) {
+  return {{"id", id},
+          {"name", s.name},
+          {"folder", s.run_dir},
+          {"device", s.device},
+          {"step", s.step},
+          {"train_s", s.train_s},
+          {"loss", s.loss},
+          {"psnr", s.psnr_db},
+          {"rays_per_s", s.rays_per_s},
+          {"phase", s.phase},
+          {"geometry_ready", s.geometry_ready},
+          {"temperature", s.temperature}};
+}
+
+Json class_json(const ClassState& c) {
+  return {{"index", c.index},
+          {"id", c.id},
+          {"name", c.name},
+          {"own", c.own},
+          {"color", c.color},
+          {"clicks", c.clicks},
+          {"area_share", c.area_share},
+          {"confidence", c.confidence}};
+}
+
+Json view_json(const ViewState& v) {
+  return {{"frame", v.frame},     {"width", v.width_px}, {"height", v.height_px}, {"clicks", v.clicks},
+          {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo},      {"held_out", v.held_out}};
+}
+
+template <class Items, class ToJson>
+Json list(const Items& items, ToJson&& to_json) {
+  Json out = Json::array();
+  for (const auto& item : items) out.push_back(to_json(item));
+  return out;
+}
+
+Json points_json(const std::vector<PixelPoint>& points) {
+  return list(points, [](const PixelPoint& p) { return Json{p.x, p.y}; });
+}
+
+Json mark_json(const Annotations::Mark& mark, const LabelSource& source) {
+  return {{"id", mark.id},
+          {"view", source.view_of(mark.frame)},
+          {"points", points_json(mark.points)},
+          {"radius", mark.radius_px},
+          {"fill", mark.fill},
+          {"object", mark.object},
+          {"class", mark.class_index}};
+}
+
+Json proposal_json(const std::optional<ProposalState>& p) {
+  if (!p) return nullptr;
+  return {
+      {"id", p->id}, {"view", p->view}, {"at", {p->at.x, p->at.y}}, {"why", p->why}, {"class_guess", p->class_guess}};
+}
+
+// `known`: the session's revision that the client has seen, 0 for none: marks that are no newer are null.
+// `first`: PageOptions::first_revision; `now`: what the client gives back as `after`.
+Json state_json(const LabelState& s, const LabelSource& source, const std::vector<ExportState>& exports,
+                const std::string& run_id, std::uint64_t known, std::uint64_t first, std::uint64_t now) {
+  Json out;
+  out["revision"] = now;
+  out["overlay"] = {{"revision", first + s.overlay_revision}, {"events", s.overlay_events}};
+  out["events"] = s.events;
+  out["run"] = run_json(s, run_id);
+  out["room"] = {{"named", s.named}, {"most", s.room}};
+  out["classes"] = list(s.classes, class_json);
+  out["views"] = list(s.views, view_json);
+  out["proposal"] = proposal_json(s.proposal);
+  out["marks"] = nullptr;
+  if (known == 0 || s.marks_revision > known)
+    out["marks"] = list(s.marks, [&](const Annotations::Mark& mark) { return mark_json(mark, source); });
+  out["exports"] = list(exports, [](const ExportState& e) {
+    return Json{{"id", e.id}, {"what", e.what}, {"state", e.state}, {"text", e.text}, {"files", e.files}};
+  });
+  out["notes"] = s.notes;
+  out["trouble"] = s.trouble;
+  out["failure"] = s.failure;
+  return out;
+}
 
 }  // namespace
 
@@ -124,6 +223,311 @@ HttpResponse PageServer::post_export(const HttpRequest& request) {
     return json_answer({{"id", wanted.cancel}});
   }
   return json_answer({{"id", exports_.start(*wanted.what)}});
+}
+
+namespace {
+
+constexpr const char* kEveryAddress = "0.0.0.0";
+
+HttpResponse forbidden(const std::string& why) { return {403, "text/plain", why + "\n"}; }
+
+bool is_ipv4(const std::string& text) {
+  in_addr number{};
+  return inet_pton(AF_INET, text.c_str(), &number) == 1;
+}
+
+}  // namespace
+
+std::string new_token() {
+  std::array<std::uint8_t, 16> bits{};
+  if (getrandom(bits.data(), bits.size(), 0) != static_cast<ssize_t>(bits.size()))
+    throw Error(ErrorKind::unavailable, "system.random.missing",
+                "the system gives no random bits for the page's secret address",
+                "see `man 2 getrandom`; a kernel from 3.17 on has it");
+  std::string token;
+  for (const std::uint8_t b : bits) {
+    token += "0123456789abcdef"[b >> 4];
+    token += "0123456789abcdef"[b & 15];
+  }
+  return token;
+}
+
+std::string kept_token(const std::string& run_dir) {
+  const std::string path = run_dir + "/serve_token";
+  struct stat facts {};
+  if (lstat(path.c_str(), &facts) == 0 && S_ISREG(facts.st_mode) && (facts.st_mode & 077) == 0 &&
+      facts.st_uid == geteuid()) {
+    const std::string kept = read_text_file(path);
+    if (kept.size() == 32 && kept.find_first_not_of("0123456789abcdef") == std::string::npos) return kept;
+  }
+  unlink(path.c_str());
+  const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600);
+  if (file < 0) throw write_error("create", path, errno);
+  const std::string token = new_token();
+  try {
+    append_all(file, path, token);
+  } catch (...) {
+    close(file);
+    throw;
+  }
+  close(file);
+  return token;
+}
+
+namespace {
+
+int status_of(ErrorKind kind) {
+  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
+  return kind == ErrorKind::internal ? 500 : 503;
+}
+
+}  // namespace
+
+std::string error_json(Code code, const std::string& message, const std::string& remedy) {
+  return json_text({{"error", message}, {"code", code.text()}, {"remedy", remedy}});
+}
+
+HttpResponse json_answer(const Json& json) { return {200, "application/json", json_text(json)}; }
+
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept {
+  try {
+    try {
+      return answer();
+    } catch (const Error& e) {
+      return {status_of(e.kind()), "application/json", error_json(e.code(), e.message(), e.remedy())};
+    } catch (const std::exception& e) {
+      return {500, "application/json",
+              error_json("internal.exception", std::string("internal error: ") + e.what(), "")};
+    }
+  } catch (const std::exception&) {  // no memory
+    return {500, "text/plain", ""};
+  }
+}
+
+HttpResponse wrong_method(const char* allowed) {
+  HttpResponse wrong{405, "application/json",
+                     error_json("serve.request.method", "this address takes another method", "")};
+  wrong.allow = allowed;
+  return wrong;
+}
+
+std::string PageHost::url() const {
+  return fmt::format("http://{}:{}/{}/", address_ == kEveryAddress ? "127.0.0.1" : address_, port_, token_);
+}
+
+// Takes the same time for every wrong token, so that none can be found byte by byte.
+bool PageHost::is_token(const std::string& path) const {
+  if (path.size() < token_.size() + 1 || path[0] != '/') return false;
+  unsigned differs = 0;
+  for (std::size_t i = 0; i < token_.size(); ++i)
+    differs |= static_cast<unsigned char>(path[i + 1]) ^ static_cast<unsigned char>(token_[i]);
+  return differs == 0 && (path.size() == token_.size() + 1 || path[token_.size() + 1] == '/');
+}
+
+// A name of somebody else that is made to point here (DNS rebinding) is no host of ours. A server of every address
+// has many, but all are numbers.
+bool PageHost::is_host(const std::string& host) const {
+  const std::size_t colon = host.rfind(':');
+  if (colon == std::string::npos || host.substr(colon + 1) != std::to_string(port_)) return false;
+  const std::string name = lower_case(host.substr(0, colon));
+  return name == "127.0.0.1" || name == "localhost" || name == address_ || (address_ == kEveryAddress && is_ipv4(name));
+}
+
+std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) const {
+  if (!is_token(head.path)) return HttpResponse{404, "text/plain", "not found\n"};
+  const std::string host = head.header("host").value_or("");
+  if (head.header_count("host") != 1 || !is_host(host))
+    return forbidden(
+        fmt::format("the page is at {}:{} alone; a tunnel has to lead there from the same port (ssh -L "
+                    "{}:127.0.0.1:{} ...)",
+                    address_, port_, port_, port_));
+  if (const auto origin = head.header("origin"); head.method == "POST" && origin && *origin != "http://" + host)
+    return forbidden("a page of another origin may not send");
+  const std::string site = head.header("sec-fetch-site").value_or("none");
+  // A link that leads here from another page opens the page; it can neither read nor send.
+  const bool opens = head.method == "GET" && head.header("sec-fetch-mode") == "navigate" &&
+                     head.header("sec-fetch-dest") == "document";
+  if (site != "none" && site != "same-origin" && !opens) return forbidden("a page of another site may not ask");
+  if (head.path.size() == token_.size() + 1) {  // without the folder's slash relative addresses would leave it
+    HttpResponse onward{308, "text/plain", ""};
+    onward.location = head.path + "/";
+    return onward;
+  }
+  return std::nullopt;
+}
+
+std::map<std::string, PageFile> read_page_files(const std::string& folder) {
+  static const std::map<std::string, std::string> types{{".html", "text/html; charset=utf-8"},
+                                                        {".js", "text/javascript; charset=utf-8"},
+                                                        {".css", "text/css; charset=utf-8"},
+                                                        {".svg", "image/svg+xml"},
+                                                        {".png", "image/png"},
+                                                        {".ico", "image/x-icon"}};
+  std::map<std::string, PageFile> files;
+  std::error_code failed;
+  for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
+    const auto type = types.find(entry.path().extension().string());
+    if (type == types.end() || !entry.is_regular_file(failed)) continue;
+    files[entry.path().filename().string()] = {type->second, read_text_file(entry.path().string())};
+  }
+  const auto index = files.find("index.html");
+  if (index == files.end())
+    throw Error(ErrorKind::no_input, "files.shared.missing",
+                folder + ": the page's index.html is not there, which comes with the program",
+                "install the component 'app' whole, or run the program from its build folder");
+  files[""] = index->second;
+  return files;
+}
+
+namespace {
+
+struct Kept {
+  std::string id, place;
+};
+
+// None: there is no such file, or it holds something else.
+std::optional<Kept> kept_in(const fs::path& run_dir) {
+  constexpr std::size_t kMostBytes = 8192;
+  const fs::path file = run_dir / "run_id";
+  if (!is_file(file)) return std::nullopt;
+  const std::string text = read_file_start(file.string(), kMostBytes);
+  const std::size_t end = text.find('\n');
+  if (end != 32 || text.find_first_not_of("0123456789abcdef") != end || !text.ends_with('\n')) return std::nullopt;
+  return Kept{text.substr(0, end), text.substr(end + 1, text.size() - end - 2)};
+}
+
+bool is_copy(const Kept& kept, const fs::path& place) {
+  std::error_code unknown;
+  if (kept.place == place || fs::equivalent(kept.place, place, unknown)) return false;
+  const std::optional<Kept> original = kept_in(kept.place);
+  return original && original->id == kept.id;
+}
+
+}  // namespace
+
+std::string kept_run_id(const std::string& run_dir) {
+  const fs::path place = fs::weakly_canonical(fs::absolute(run_dir));
+  std::optional<Kept> kept = kept_in(place);
+  if (kept && kept->place == place) return kept->id;
+  if (kept && is_copy(*kept, place)) {
+    fs::remove(place / "serve_token");
+    kept.reset();
+  }
+  const std::string id = kept ? kept->id : new_token();
+  write_file_atomic((place / "run_id").string(), id + "\n" + place.string() + "\n");
+  return id;
+}
+
+PageHost::PageHost(std::string token, HttpOptions http, bool next_port, std::string guide, Places places)
+    : guide_(std::move(guide)), token_(std::move(token)), address_(http.address), places_(std::move(places)) {
+  http.port = port_ = free_port(http.address, http.port, next_port);
+  HttpHandler handler;
+  handler.refuse = [this](const HttpRequest& head) {
+    std::optional<HttpResponse> refused;
+    const HttpResponse failed = safe_answer([&] {
+      refused = refuse(head);
+      return HttpResponse{};
+    });
+    return failed.status == 200 ? refused : failed;
+  };
+  handler.answer = [this](const HttpRequest& request) { return safe_answer([&] { return route(request); }); };
+  http_.emplace(http, std::move(handler));
+}
+
+HttpResponse PageHost::route(const HttpRequest& request) {
+  const std::string name = request.path.substr(token_.size() + 2);  // below the secret folder
+  auto place = places_.find(name);
+  if (const std::size_t slash = name.find('/'); place == places_.end() && slash != std::string::npos)
+    place = places_.find(name.substr(0, slash + 1));
+  if (place == places_.end())
+    return {404, "application/json",
+            error_json("serve.address.unknown", "nothing is at this address", "see " + guide_)};
+  return request.method == place->second.method ? place->second.answer(request) : wrong_method(place->second.method);
+}
+
+namespace {
+
+constexpr int kQuick = 1;                                         // zlib's level: a picture is sent once
+constexpr std::array<std::uint8_t, 3> kUnnamed{{128, 128, 128}};  // a class that the state does not list yet
+
+void put_part(std::string& out, std::string_view part) {
+  const auto size = static_cast<std::uint32_t>(part.size());
+  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>((size >> shift) & 0xFF);
+  out += part;
+}
+
+std::string_view text_of(const std::vector<std::uint8_t>& bytes) {
+  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+
+}  // namespace
+
+std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
+                                    const std::vector<ClassState>& classes) {
+  int most = kVoid;
+  for (const std::int16_t index : label) most = std::max<int>(most, index);
+  for (const ClassState& c : classes) most = std::max(most, c.index);
+  if (most >= kMostPageClasses)
+    throw Error(ErrorKind::data, "serve.classes.limit",
+                "the page shows at most " + std::to_string(kMostPageClasses) + " classes",
+                "give the scene a table of fewer classes: scene.classes");
+  std::vector<std::uint8_t> palette, index(label.size());
+  for (int entry = 0; entry < most + 2; ++entry) palette.insert(palette.end(), kUnnamed.begin(), kUnnamed.end());
+  for (const ClassState& c : classes)
+    std::copy(c.color.begin(), c.color.end(), palette.begin() + 3 * (static_cast<std::ptrdiff_t>(c.index) + 1));
+  std::transform(label.begin(), label.end(), index.begin(),
+                 [](std::int16_t value) { return static_cast<std::uint8_t>(value + 1); });
+  const std::array<std::uint8_t, 1> clear{{0}};
+  return encode_png(width_px, height_px, 3, 8, index, {palette, clear}, kQuick);
+}
+
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes) {
+  const auto seen_json = [](const SeenMark& mark) {
+    return Json{{"id", mark.id}, {"points", points_json(mark.points)}};
+  };
+  const Json facts{
+      {"width", picture.width_px},      {"height", picture.height_px}, {"overlay_revision", picture.overlay_revision},
+      {"render_ms", picture.render_ms}, {"stale", picture.stale},      {"marks", list(picture.seen, seen_json)}};
+  const std::int32_t w = picture.width_px, h = picture.height_px;
+  std::string out;
+  put_part(out, facts.dump());
+  put_part(out, picture.rgb.empty() ? std::string_view() : text_of(encode_jpeg(w, h, picture.rgb)));
+  put_part(out, picture.label.empty() ? std::string_view() : text_of(label_png(w, h, picture.label, classes)));
+  put_part(out,
+           picture.entropy.empty() ? std::string_view() : text_of(encode_png(w, h, 0, 8, picture.entropy, {}, kQuick)));
+  return out;
+}
+
+std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px) {
+  const std::int32_t longest = std::max(photo.width_px, photo.height_px);
+  if (most_px <= 0 || longest <= most_px) return encode_jpeg(photo.width_px, photo.height_px, photo.pixels);
+  const auto shorter = [&](std::int32_t side) {
+    return std::max<std::int32_t>(1, static_cast<std::int32_t>(std::lround(double{1} * side * most_px / longest)));
+  };
+  const Image<std::uint8_t> small = resize_area(photo, shorter(photo.width_px), shorter(photo.height_px));
+  return encode_jpeg(small.width_px, small.height_px, small.pixels);
+}
+
+std::vector<std::uint8_t> encode_jpeg(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> rgb,
+                                      int quality) {
+  SEMFIELD_CHECK(
+      width_px > 0 && height_px > 0 &&
+          rgb.size() == std::size_t{3} * static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px),
+      "a picture's colours do not match its size");
+  const std::unique_ptr<void, int (*)(tjhandle)> encoder(tjInitCompress(), tjDestroy);
+  if (!encoder)
+    throw Error(ErrorKind::internal, "internal.jpeg.failed",
+                std::string("TurboJPEG cannot start: ") + tjGetErrorStr2(nullptr));
+  std::vector<std::uint8_t> out(tjBufSize(width_px, height_px, TJSAMP_420));
+  unsigned char* at = out.data();
+  unsigned long bytes = out.size();
+  // The buffer is large enough for any picture, so it is never replaced by another.
+  if (tjCompress2(encoder.get(), rgb.data(), width_px, 0, height_px, TJPF_RGB, &at, &bytes, TJSAMP_420, quality,
+                  TJFLAG_NOREALLOC) != 0)
+    throw Error(ErrorKind::internal, "internal.jpeg.failed",
+                std::string("TurboJPEG: ") + tjGetErrorStr2(encoder.get()));
+  out.resize(bytes);
+  return out;
 }
 
 }  // namespace semfield::app

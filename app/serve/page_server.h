@@ -1,19 +1,93 @@
-// The labelling page over HTTP: every address below its secret folder, and what it returns.
+// Pages over HTTP: every address below the secret folder, and what it returns.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <optional>
 #include <string>
+#include <vector>
 
+#include "app/json_output.h"
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
-#include "app/serve/page_files.h"
-#include "app/serve/page_host.h"
 #include "core/non_copyable.h"
+#include "formats/image_io.h"
+#include "labels/serve/label_loop.h"
 #include "labels/serve/label_session.h"
 
 namespace semfield::app {
+
+/// 32 hexadecimal digits of 128 random bits from the kernel. Throws Error(unavailable) where it has none.
+std::string new_token();
+
+/// The token of a run: made once and kept in `run_dir`/serve_token, for its user alone, so that a page that is open
+/// goes on when the program starts again. One that others may read is replaced. Throws as new_token, and write_error.
+std::string kept_token(const std::string& run_dir);
+
+// The page's own files, read once: what is not in the list is not there.
+
+struct PageFile {
+  std::string type;  ///< MIME
+  std::string bytes;
+};
+
+/// Files of `folder` by name: scripts, styles, pages and pictures; "" is index.html. Throws Error(no_input) where the
+/// folder or its index.html is missing.
+std::map<std::string, PageFile> read_page_files(const std::string& folder);
+
+// A run's id: by it a browser keeps what it has not sent yet, so that nothing enters another run.
+
+/// 32 hexadecimal digits, made once and kept in `run_dir`/run_id beside the folder's place. A folder that was moved
+/// keeps its id. A copy, whose original is still where it was, is another run: it gets an id of its own, and its
+/// serve_token goes, so that a page of the original does not go on with the copy. Throws as new_token, and write_error.
+std::string kept_run_id(const std::string& run_dir);
+
+// What is answered.
+
+/// {"error", "code", "remedy"}.
+std::string error_json(Code code, const std::string& message, const std::string& remedy);
+/// Texts of files and folders may be no UTF-8; numbers that are none become null.
+HttpResponse json_answer(const Json& json);
+/// What `answer` returns, or what it throws as such a response: what the client did wrong is 400; what could not be
+/// kept or made now is 503.
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept;
+/// 405 at an address that takes another method.
+HttpResponse wrong_method(const char* allowed);
+
+/// What the labelling page and the viewer have in common: an address with a secret, and the places below it.
+class PageHost : NonCopyable {
+ public:
+  struct Place {
+    const char* method;
+    std::function<HttpResponse(const HttpRequest&)> answer;
+  };
+  /// By their names below the secret folder; one that ends in '/' is of all that lies below it.
+  using Places = std::map<std::string, Place>;
+
+  /// Serves `places`, which `guide` describes, when it returns; `next_port`: when the port is taken, one of the 99
+  /// behind it. Throws as free_port does.
+  PageHost(std::string token, HttpOptions http, bool next_port, std::string guide, Places places);
+
+  /// The address to open, with the token.
+  std::string url() const;
+  int port() const { return port_; }
+
+ private:
+  // None: the request may go on. A wrong token gives 404 without a detail; what follows is for whoever knows the token.
+  std::optional<HttpResponse> refuse(const HttpRequest& head) const;
+  bool is_token(const std::string& path) const;
+  bool is_host(const std::string& host) const;
+  HttpResponse route(const HttpRequest& request);
+
+  std::string guide_, token_, address_;  // address and port: what the server is bound to
+  int port_ = 0;
+  Places places_;
+  std::optional<HttpServer> http_;
+};
+
+// The labelling page.
 
 /// Milliseconds since 1970.
 std::int64_t now_ms();
@@ -58,5 +132,24 @@ class PageServer : NonCopyable {
   mutable std::atomic<int> waiting_for_news_{0};
   PageHost host_;  // last: it answers by all of these
 };
+
+// Pictures of responses.
+
+inline constexpr int kMostPageClasses = 255;  ///< a palette has an entry for each and one for none
+
+/// Class indices as a palette PNG: entry index + 1 has the class's colour, entry 0 is transparent and means none.
+std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
+                                    const std::vector<ClassState>& classes);
+
+/// The response to a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
+/// its length in four bytes, little-endian; 0 for one that there is not.
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes);
+
+/// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.
+std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px);
+
+/// JPEG by TurboJPEG. `rgb`: [height * width * 3]. Throws Error(internal) where TurboJPEG refuses.
+std::vector<std::uint8_t> encode_jpeg(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> rgb,
+                                      int quality = 85);
 
 }  // namespace semfield::app

@@ -11,9 +11,6 @@
 #include <thread>
 
 #include "app/child_process.h"
-#include "app/serve/http_port.h"
-#include "app/serve/page_files.h"
-#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "app/serve/page_server.h"
 #include "app/signals.h"

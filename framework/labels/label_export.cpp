@@ -69,20 +69,25 @@ std::string CocoExport::image_name(const LabelledFrame& frame) {
   return own + file.extension().string();
 }
 
+void CocoExport::annotate(const std::string& text) {
+  append(annotations_, text);
+  ++annotation_count_;
+}
+
 void CocoExport::add(const LabelledFrame& frame) {
   const std::int64_t image = ++image_count_;
   append(images_,
          Json{{"id", image}, {"file_name", image_name(frame)}, {"width", frame.width_px}, {"height", frame.height_px}}
              .dump(-1, ' ', false, Json::error_handler_t::replace));
   const auto entry = [&](int index, Json segmentation, std::int64_t area, const Box2& box) {
-    append(annotations_, Json{{"id", ++annotation_count_},
-                              {"image_id", image},
-                              {"category_id", classes_.id_of(index)},
-                              {"segmentation", std::move(segmentation)},
-                              {"area", area},
-                              {"bbox", box.list()},
-                              {"iscrowd", masks_ == CocoMasks::run_lengths ? 1 : 0}}
-                             .dump());
+    annotate(Json{{"id", annotation_count_ + 1},
+                  {"image_id", image},
+                  {"category_id", classes_.id_of(index)},
+                  {"segmentation", std::move(segmentation)},
+                  {"area", area},
+                  {"bbox", box.list()},
+                  {"iscrowd", masks_ == CocoMasks::run_lengths ? 1 : 0}}
+                 .dump());
   };
   if (masks_ == CocoMasks::run_lengths) {
     const std::vector<ClassExtent> all = extents(frame, classes_.valid_count());

@@ -37,6 +37,7 @@ class CocoExport {
 
  private:
   std::string image_name(const LabelledFrame& frame);
+  void annotate(const std::string& text);
   ClassTable classes_;
   CocoMasks masks_;
   std::string images_, annotations_;

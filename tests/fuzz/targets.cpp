@@ -11,7 +11,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "app/serve/http_reader.h"
+#include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
 #include "config/compose.h"
 #include "config/config_tree.h"

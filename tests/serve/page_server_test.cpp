@@ -9,9 +9,6 @@
 #include <random>
 #include <set>
 
-#include "app/serve/http_port.h"
-#include "app/serve/page_files.h"
-#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "formats/image_io.h"
 #include "formats/zip_archive.h"

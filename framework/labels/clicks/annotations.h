@@ -10,7 +10,6 @@
 #include <string_view>
 #include <vector>
 
-#include "core/error.h"
 #include "labels/clicks/click_log.h"
 #include "labels/mask_outlines.h"
 #include "scene/scene.h"
@@ -142,12 +141,6 @@ class Annotations {
   EventsKnown known_;
 };
 
-/// Throws Error(data) that names the event.
-[[noreturn]] inline void refuse_event(Code code, const LabelEvent& event, const std::string& message,
-                                      const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, code, "event '" + event.id + "': " + message, remedy);
-}
-
 /// Pixels of a frame of this size that the mark paints: those inside a filled outline (its line alone where it holds
 /// no pixel's centre), or those of stroke_runs.
 std::vector<PixelRun> runs_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px);
@@ -155,5 +148,32 @@ std::vector<PixelRun> runs_of(const Annotations::Mark& mark, std::int32_t width_
 /// What `events` add up to; event i stood in line i + 1 of `name`, which errors name. Where `room` is 0 there is room
 /// for all classes that they add, one place each; else for `room`, and for more only where events need more.
 Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name);
+
+// What a labelling session leaves in its run's folder for the report: its classes, its clicks and the frames to show.
+
+/// labelling.json. The frames' pictures are render/labelled/FRAME_{clicks,label_vis,entropy_vis}.png.
+struct LabellingRecord {
+  struct Class {
+    std::int32_t id = 0;
+    std::string name;
+    std::array<std::uint8_t, 3> color{};
+    std::int64_t clicks = 0;
+    double area_share = 0, confidence = 0;  ///< of the surface that the views show, and mean over it
+    bool operator==(const Class&) const = default;
+  };
+  struct Frame {
+    std::string name;
+    std::int64_t clicks = 0;
+    bool operator==(const Frame&) const = default;
+  };
+  std::int64_t step = 0, clicks = 0, clicked_frames = 0, frames = 0;
+  std::vector<Class> classes;  ///< those with a name, in the order of their indices
+  std::vector<Frame> shown;    ///< frames with pictures, the most clicks first
+  bool operator==(const LabellingRecord&) const = default;
+};
+
+std::string labelling_record_json(const LabellingRecord& record);
+/// Throws Error(data) naming `name`.
+LabellingRecord parse_labelling_record(std::string_view json, const std::string& name);
 
 }  // namespace semfield

@@ -17,11 +17,6 @@ namespace semfield {
 
 enum class LabelEventKind : std::uint8_t { click, add_class, change_class, undo, skip, merge_class, delete_class };
 
-/// Whether a class is there no more after such an event.
-inline bool ends_a_class(LabelEventKind kind) {
-  return kind == LabelEventKind::merge_class || kind == LabelEventKind::delete_class;
-}
-
 struct LabelEvent {
   std::string id;  ///< the client's, unique: 1 to 64 of [A-Za-z0-9_-]
   LabelEventKind kind = LabelEventKind::click;

@@ -4,22 +4,33 @@
 #include <chrono>
 #include <cmath>
 #include <iterator>
+#include <map>
 #include <numbers>
 #include <numeric>
 #include <set>
+#include <tuple>
 #include <unordered_map>
 #include <unordered_set>
 #include <utility>
 
+#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/rng.h"
+#include "eval/metrics.h"
 #include "execution/render_rays.h"
+#include "labels/serve/view_pictures.h"
 
 namespace semfield {
 
 namespace {
 
 constexpr const char* kChoice = "point_learner/choice";
+
+// Where `at` falls among sums of weights.
+std::size_t place_in(const std::vector<double>& up_to, double at) {
+  const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
+  return static_cast<std::size_t>(std::min(found, std::ssize(up_to) - 1));
+}
 
 // Labelled points by class.
 class PointChoice {
@@ -156,7 +167,176 @@ std::vector<float> PointLearner::probabilities(const PointRows& rows, const std:
 
 namespace {
 
+constexpr int kLeastOfClass = 4;       // clicks of a class of which one may be held back
+constexpr std::size_t kLeastHeld = 8;  // clicks that say something of the temperature
+constexpr double kLowest = 0.25, kHighest = 5;
+constexpr double kPriorWidth = 0.5;   // standard deviation of log T
+constexpr double kWrongClicks = 0.1;  // fraction that says nothing: slips, and places that no other click resembles
+
+// Of the clicks at a temperature: weighted log likelihoods, as many as there are in effect, less the prior.
+double misfit(std::span<const HeldBack> held, double temperature) {
+  double sum = 0, total = 0, squares = 0;
+  for (const HeldBack& click : held) {
+    double norm = 0;
+    std::size_t live = 0;
+    for (const float p : click.probability) {
+      if (!(p > 0)) continue;
+      norm += std::pow(static_cast<double>(p), 1 / temperature);
+      ++live;
+    }
+    const auto own = static_cast<double>(click.probability[click.truth]);
+    const double share = own > 0 && norm > 0 ? std::pow(own, 1 / temperature) / norm : 0;
+    sum -= click.counts *
+           std::log((1 - kWrongClicks) * share + kWrongClicks / static_cast<double>(std::max<std::size_t>(1, live)));
+    total += click.counts;
+    squares += click.counts * click.counts;
+  }
+  const double off = std::log(temperature) / kPriorWidth;
+  return sum / total * (total * total / squares) + off * off / 2;
+}
+
+}  // namespace
+
+std::vector<int> calibration_folds(std::span<const std::int16_t> classes) {
+  std::map<std::int16_t, int> all, dealt;
+  for (const std::int16_t c : classes) ++all[c];
+  std::vector<int> folds;
+  for (const std::int16_t c : classes)
+    folds.push_back(all[c] < kLeastOfClass ? -1 : (dealt[c]++ + c) % kCalibrationFolds);
+  return folds;
+}
+
+std::optional<double> fit_temperature(std::span<const HeldBack> held) {
+  if (held.size() < kLeastHeld) return std::nullopt;
+  // One minimum over log T: golden section.
+  const double bottom = std::log(kLowest), top = std::log(kHighest), golden = (std::sqrt(5.0) - 1) / 2;
+  double low = bottom, high = top;
+  for (int i = 0; i < 40; ++i) {
+    const double a = high - golden * (high - low), b = low + golden * (high - low);
+    if (misfit(held, std::exp(a)) < misfit(held, std::exp(b))) {
+      high = b;
+    } else {
+      low = a;
+    }
+  }
+  const double found = (low + high) / 2;
+  if (found - bottom < 0.01 || top - found < 0.01) return std::nullopt;
+  return std::exp(found);
+}
+
+namespace {
+
+constexpr const char* kRandom = "proposals/candidates";
+// Classes that have a probability anywhere.
+std::ptrdiff_t named_classes(const ProposalInput& in) {
+  std::vector<bool> named(static_cast<std::size_t>(in.classes), false);
+  for (std::size_t i = 0; i < in.probability.size(); ++i)
+    if (in.probability[i] > 0) named[i % named.size()] = true;
+  return std::count(named.begin(), named.end(), true);
+}
+
+// [N] entropy as a fraction of the largest there can be; all 1 while nothing is learned.
+std::vector<double> entropies(const ProposalInput& in) {
+  const std::size_t count = in.pool->points.size();
+  std::vector<double> out(count, 1.0);
+  if (in.probability.empty()) return out;
+  const auto width = static_cast<std::size_t>(in.classes);
+  const auto live = named_classes(in);
+  if (live < 2) return out;  // a single class is sure of everything
+  const double most = std::log(static_cast<double>(live));
+  for (std::size_t i = 0; i < count; ++i) {
+    out[i] = std::min(1.0, entropy_nats(in.probability.subspan(i * width, width)) / most);
+  }
+  return out;
+}
+
+bool is_barred(const ProposalInput& in, std::size_t point) {
+  return in.barred != nullptr && !in.barred->empty() && (*in.barred)[point];
+}
+
+// How little is known of each point, 0 to 1: far from every click by way of the surface, or doubted by the network.
+std::vector<float> doubts(const ProposalInput& in) {
+  const std::vector<double> entropy = entropies(in);
+  std::vector<float> doubt(entropy.size());
+  for (std::size_t i = 0; i < doubt.size(); ++i) {
+    const float way = std::min(1.0F, in.graph->settled()[i].cost[0] / in.rules.unseen);
+    if (is_barred(in, i)) continue;
+    doubt[i] = static_cast<float>((1 - in.rules.entropy_share) * static_cast<double>(way) +
+                                  in.rules.entropy_share * static_cast<double>(way) * entropy[i]);
+  }
+  std::vector<SurfaceGraph::Near> near;
+  SurfaceGraph::Scratch scratch;
+  for (const std::int32_t point : in.passed) {
+    in.graph->around(point, in.rules.reach, in.rules.most, scratch, near);
+    for (const SurfaceGraph::Near& n : near) doubt[static_cast<std::size_t>(n.point)] = 0;
+  }
+  return doubt;
+}
+
+// Points drawn in proportion to their doubt, and not beside a border.
+std::vector<std::int32_t> candidates_of(const ProposalInput& in, std::span<const float> doubt) {
+  std::vector<double> up_to;
+  std::vector<std::int32_t> may;
+  double sum = 0;
+  for (std::size_t i = 0; i < doubt.size(); ++i) {
+    if (!in.pool->points[i].interior || is_barred(in, i)) continue;
+    may.push_back(static_cast<std::int32_t>(i));
+    up_to.push_back(sum += static_cast<double>(doubt[i]) + 1e-9);
+  }
+  std::vector<std::int32_t> out;
+  if (may.empty()) return out;
+  const RandomAddress address{in.seed, in.round, stream_id(kRandom)};
+  for (std::int64_t k = 0; k < in.rules.candidates; ++k) {
+    const double at =
+        (static_cast<double>(k) + static_cast<double>(uniform01(address, static_cast<std::uint64_t>(k)))) /
+        static_cast<double>(in.rules.candidates) * sum;
+    out.push_back(may[place_in(up_to, at)]);
+  }
+  return out;
+}
+
+}  // namespace
+
+std::optional<Asked> choose_click(const ProposalInput& in) {
+  if (in.pool->points.empty()) return std::nullopt;
+  const std::vector<float> doubt = doubts(in);
+  const std::vector<std::int32_t> candidates = candidates_of(in, doubt);
+  if (candidates.empty()) return Asked{0, 0, "unseen"};
+  std::vector<double> gain(candidates.size());
+  constexpr std::int64_t kBlock = 16;
+  parallel_for((std::ssize(candidates) + kBlock - 1) / kBlock, [&](std::int64_t block) {
+    SurfaceGraph::Scratch scratch;
+    std::vector<SurfaceGraph::Near> near;
+    for (std::int64_t k = block * kBlock; k < std::min(std::ssize(candidates), (block + 1) * kBlock); ++k) {
+      in.graph->around(candidates[static_cast<std::size_t>(k)], in.rules.reach, in.rules.most, scratch, near);
+      double settled = 0, area = 0;
+      for (const SurfaceGraph::Near& n : near) {
+        const double share = 1 - static_cast<double>(n.cost / in.rules.reach);
+        settled += share * static_cast<double>(doubt[static_cast<std::size_t>(n.point)]);
+        area += share;
+      }
+      gain[static_cast<std::size_t>(k)] = settled / std::pow(area, 1 - in.rules.area_power);
+    }
+  });
+  const auto best = static_cast<std::size_t>(std::max_element(gain.begin(), gain.end()) - gain.begin());
+  const std::int32_t point = candidates[best];
+  const float way = in.graph->settled()[static_cast<std::size_t>(point)].cost[0];
+  return Asked{point, gain[best], way >= in.rules.unseen ? "unseen" : "uncertain"};
+}
+
+namespace {
+
 using Clock = std::chrono::steady_clock;
+
+// body(i) for every i below `count`, a thousand in a row by one thread.
+template <class Body>
+void for_each_index(std::size_t count, const Body& body) {
+  constexpr std::size_t kBlock = 1024;
+  parallel_for(static_cast<std::int64_t>((count + kBlock - 1) / kBlock), [&](std::int64_t block) {
+    const std::size_t begin = static_cast<std::size_t>(block) * kBlock;
+    for (std::size_t i = begin; i < std::min(count, begin + kBlock); ++i) body(i);
+  });
+}
 
 constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
@@ -173,6 +353,10 @@ std::uint64_t key_of(const LabelledPixels& click) {
     mix(static_cast<std::uint64_t>(p.row) << 32 | static_cast<std::uint32_t>(p.column));
   return hash;
 }
+
+}  // namespace
+
+namespace {
 
 std::int32_t pixel_in(double at, std::int32_t length_px) {
   return static_cast<std::int32_t>(std::clamp(std::floor(at), 0.0, static_cast<double>(length_px - 1)));
@@ -498,6 +682,149 @@ double LabelLoop::most_entropy() const {
 void LabelLoop::set_temperature(double temperature) {
   temperature_ = temperature;
   predict_pool();
+}
+
+// What a labelling session returns between steps: labels of a view, the next question, clicks held back.
+
+std::vector<double> LabelLoop::areas_of(std::size_t clicks, const Named& named) const {
+  std::vector<double> area(clicks, 1);
+  for (const PoolPoint& point : pool_.points) {
+    double least = INFINITY;
+    std::size_t nearest = 0;
+    for (std::size_t i = 0; i < named.position.size(); ++i) {
+      if (i > 0 && named.click[i] == named.click[i - 1]) continue;  // a click's first point stands for it
+      const Vec3d way = point.position - named.position[i];
+      const double square = dot(way, way);
+      if (square >= least) continue;
+      least = square;
+      nearest = static_cast<std::size_t>(named.click[i]);
+    }
+    if (std::isfinite(least)) area[nearest] += 1;
+  }
+  return area;
+}
+
+std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> clicks, int fold) {
+  (void)find_places(clicks, INFINITY);
+  std::vector<std::int16_t> of_clicks;  // classes; given labels are never held back
+  for (const LabelledPixels& click : clicks)
+    if (click.weight >= 1) of_clicks.push_back(click.class_index);
+  const std::vector<int> folds = calibration_folds(of_clicks);
+  std::vector<bool> left_out(clicks.size(), false);
+  auto next = folds.begin();
+  for (std::size_t k = 0; k < clicks.size(); ++k)
+    if (clicks[k].weight >= 1) left_out[k] = *next++ == fold;
+  std::vector<HeldBack> held;
+  if (std::count(left_out.begin(), left_out.end(), true) == 0) return held;
+  const Named named = named_points(clicks);
+  // Clicks lie where there was doubt: each counts for the surface that it stands for.
+  const std::vector<double> area = areas_of(clicks.size(), named);
+  const PointLearner::Kept kept = learner_.keep();
+  const auto before = std::tuple(live_, seeds_, learned_);
+  learn_from(named_points(clicks, left_out), options_.learning.steps);
+  std::vector<Vec3d> places;
+  for (std::size_t i = 0; i < named.logit.size(); ++i) {
+    const auto click = static_cast<std::size_t>(named.click[i]);
+    const bool first = i == 0 || named.click[i] != named.click[i - 1];  // a click's first point stands for it
+    if (!first || !left_out[click]) continue;
+    if (!live_[static_cast<std::size_t>(named.logit[i])]) continue;  // nobody else has named its class
+    places.push_back(named.position[i]);
+    held.push_back({{}, static_cast<std::size_t>(named.logit[i]), area[click]});
+  }
+  const std::vector<float> found = probabilities(learner_.rows_at(places), places, 1);
+  for (std::size_t i = 0; i < held.size(); ++i) {
+    const auto row = found.begin() + static_cast<std::ptrdiff_t>(i) * classes();
+    held[i].probability.assign(row, row + classes());
+  }
+  learner_.put_back(kept);
+  std::tie(live_, seeds_, learned_) = before;
+  settle_seeds();
+  return held;
+}
+
+ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
+  PoolView& view = views_[static_cast<std::size_t>(v)];
+  if (static_cast<std::size_t>(v) >= pooled_ && ready() && due(view)) view.map = map_of(v, stride_);
+  const SurfaceMap& map = fine != nullptr ? *fine : view.map;
+  CoarseLabels coarse{map.stride, map.width_px, map.height_px, {}, {}};
+  coarse.label.assign(map.distance_m.size(), kVoid);
+  coarse.entropy.assign(map.distance_m.size(), 0);
+  if (learned_ && !map.empty()) {
+    std::vector<Vec3d> positions;
+    std::vector<std::size_t> where;
+    for (std::size_t i = 0; i < map.distance_m.size(); ++i) {
+      if (map.distance_m[i] > 0) where.push_back(i);
+    }
+    positions.resize(where.size());
+    for_each_index(where.size(), [&](std::size_t k) {
+      const PixelPlace pixel = strided_place(static_cast<std::int64_t>(where[k]), map.width_px, map.stride);
+      positions[k] =
+          point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
+    });
+    const std::vector<float> probability = probabilities(learner_.rows_at(positions), positions, temperature_);
+    const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
+    const auto width = static_cast<std::size_t>(classes());
+    const double most = most_entropy();
+    for_each_index(where.size(), [&](std::size_t k) {
+      const std::span<const float> row(&probability[k * width], width);
+      const std::ptrdiff_t best = std::max_element(row.begin(), row.end()) - row.begin();
+      coarse.label[where[k]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(best)]);
+      coarse.entropy[where[k]] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, entropy_nats(row) / most)));
+    });
+  }
+  ViewLabels labels = upsampled(coarse, *view.photo);
+  for (const LabelledPixels& click : clicks_) {
+    if (click.view != v) continue;
+    for (const PixelPlace& pixel : click.pixels) {
+      const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * labels.width_px + pixel.column);
+      labels.label[at] = click.class_index;
+      labels.entropy[at] = 0;
+    }
+  }
+  const std::vector<bool>& ignored = ignored_[static_cast<std::size_t>(v)];
+  for (std::size_t p = 0; p < ignored.size(); ++p) {
+    if (!ignored[p]) continue;
+    labels.label[p] = kVoid;
+    labels.entropy[p] = 0;
+  }
+  return labels;
+}
+
+std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round) const {
+  ProposalInput input;
+  input.pool = &pool_;
+  input.graph = &graph_;
+  input.probability = pool_probability_;
+  input.classes = learner_.classes();
+  std::vector<std::int32_t> passed;
+  for (const Vec3d& place : skipped_)
+    if (const std::int32_t point = pool_.cells.near(place); point >= 0) passed.push_back(point);
+  input.passed = passed;
+  std::vector<bool> barred;
+  if (std::any_of(ignored_.begin(), ignored_.end(), [](const auto& pixels) { return !pixels.empty(); })) {
+    for (const PoolPoint& point : pool_.points) {
+      const auto v = static_cast<std::size_t>(point.view);
+      const std::int64_t pixel = std::int64_t{point.pixel.row} * views_[v].photo->width_px + point.pixel.column;
+      barred.push_back(!ignored_[v].empty() && ignored_[v][static_cast<std::size_t>(pixel)]);
+    }
+  }
+  input.barred = &barred;
+  input.seed = seed;
+  input.round = round;
+  input.rules = options_.proposals;
+  const WorkScope scope(pipeline_.options().work);
+  return choose_click(input);
+}
+
+void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {
+  skipped_.clear();
+  const RayLimits& limits = training_.session().limits;
+  for (const LabelledPixels& place : skipped) {
+    const RayCamera& camera = view(place.view).camera;
+    const std::vector<float> distance = surface_distances(pipeline_, camera, limits, place.pixels);
+    if (!distance.empty() && distance[0] > 0)
+      skipped_.push_back(point_at(camera, limits, place.pixels[0], static_cast<double>(distance[0])));
+  }
 }
 
 }  // namespace semfield

@@ -1,23 +1,20 @@
 // What a labelling session does between steps of training: surfaces of the views, semantics learned anew from clicks
-// while colour and geometry stand, and labels of whole views.
+// while colour and geometry stand, labels of whole views, and the next question.
 #pragma once
 
-#include <algorithm>
+#include <array>
 #include <chrono>
-#include <cstddef>
 #include <cstdint>
-#include <iterator>
 #include <optional>
 #include <span>
+#include <string>
+#include <string_view>
 #include <unordered_map>
 #include <vector>
 
-#include "compute/parallel.h"
 #include "core/small_math.h"
 #include "execution/pipeline.h"
 #include "labels/clicks/annotations.h"
-#include "labels/serve/calibration.h"
-#include "labels/serve/questions.h"
 #include "surface/surface_graph.h"
 #include "train/trainer.h"
 
@@ -78,21 +75,60 @@ class PointLearner {
 /// Probabilities from logits, in place: [N, classes].
 void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live);
 
-/// Where `at` falls among sums of weights.
-inline std::size_t place_in(std::span<const double> up_to, double at) {
-  const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
-  return static_cast<std::size_t>(std::min(found, std::ssize(up_to) - 1));
-}
+// The temperature of a labelling session's class probabilities, by clicks that were held back [Guo17, Sec. 4.2].
 
-/// body(i) for every i below `count`, a thousand in a row by one thread.
-template <class Body>
-void for_each_index(std::size_t count, const Body& body) {
-  constexpr std::size_t kBlock = 1024;
-  parallel_for(static_cast<std::int64_t>((count + kBlock - 1) / kBlock), [&](std::int64_t block) {
-    const std::size_t begin = static_cast<std::size_t>(block) * kBlock;
-    for (std::size_t i = begin; i < std::min(count, begin + kBlock); ++i) body(i);
-  });
-}
+inline constexpr int kCalibrationFolds = 5;
+
+/// A click that was held back: its class probabilities by what was learned from the other clicks, and how much of the
+/// surface it stands for.
+struct HeldBack {
+  std::vector<float> probability;
+  std::size_t truth = 0;
+  double counts = 0;
+};
+
+/// The fold of each click, by the classes of the clicks: those of a class are dealt out in turn. -1: the class has too
+/// few clicks, so that without one it is learned from hardly any, and what is found then says nothing of what is
+/// learned from all.
+std::vector<int> calibration_folds(std::span<const std::int16_t> classes);
+
+/// The temperature of the largest posterior: the likelihood of the clicks, each counted for its surface and a tenth of
+/// them taken for wrong, and a prior around 1. None where they do not settle one: too few of them, or an optimum at a
+/// bound.
+std::optional<double> fit_temperature(std::span<const HeldBack> held);
+
+// Which click to propose next.
+
+struct Asked {
+  std::int32_t point = -1;  ///< of the pool
+  double gain = 0;          ///< cells of the surface that it is expected to settle
+  std::string_view why;     ///< "unseen" or "uncertain"
+};
+
+struct ProposalRules {
+  float unseen = 8;            ///< a point this far from every click, or farther, is open
+  float reach = 1.5;           ///< a click settles what it spreads to for this
+  std::size_t most = 400;      ///< points that one click settles
+  double area_power = 0.35;    ///< a region counts by this power of its area: small things have classes too
+  double entropy_share = 0.8;  ///< of a point's doubt that the network's entropy shows; the rest is the way to a click
+  std::int64_t candidates = 256;
+};
+
+/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `passed`: points
+/// that somebody did not want to name; `barred`: points that nobody shall name.
+struct ProposalInput {
+  const SurfacePool* pool = nullptr;
+  const SurfaceGraph* graph = nullptr;
+  std::span<const float> probability;
+  std::int32_t classes = 0;
+  std::span<const std::int32_t> passed;
+  const std::vector<bool>* barred = nullptr;  ///< [N] points that are never proposed; null or empty: none
+  std::uint64_t seed = 1, round = 0;
+  ProposalRules rules{};
+};
+
+/// The click that would settle most: doubt summed over the surface that it would spread to. None for an empty pool.
+std::optional<Asked> choose_click(const ProposalInput& input);
 
 inline double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -115,6 +151,85 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
 /// A stroke says itself what it covers; a click, which has fewer pixels, names what looks alike around it too.
 inline constexpr std::size_t kMostClickPixels = 9;
 inline bool is_stroke(const LabelledPixels& named) { return named.pixels.size() > kMostClickPixels; }
+
+struct ClassState {
+  int index = 0;
+  int id = 0;
+  std::string name;
+  std::array<std::uint8_t, 3> color{};
+  int clicks = 0;
+  double area_share = 0;  ///< of the surface that the views show
+  double confidence = 0;  ///< mean over its area, after temperature
+  bool own = false;       ///< of the scene's table: not to be renamed, merged or deleted
+};
+
+struct ViewState {
+  std::string frame;
+  std::int32_t width_px = 0, height_px = 0;
+  int clicks = 0;
+  double entropy = 0;     ///< mean over its pixels, as a fraction of the largest there can be
+  bool ready = false;     ///< its surface is known, so it has labels
+  std::string photo;      ///< a checksum of its photograph
+  bool held_out = false;  ///< a test frame, which is only looked at
+};
+
+struct ProposalState {
+  std::string id;
+  int view = 0;
+  PixelPoint at;         ///< pixels of the view
+  std::string why;       ///< "unseen" or "uncertain"
+  int class_guess = -1;  ///< index; -1: none
+};
+
+/// A click of another view that a picture shows: the places of it that are seen.
+struct SeenMark {
+  std::string id;
+  std::vector<PixelPoint> points;  ///< pixels of the picture
+};
+
+/// A moment of a session; never changed once it is out.
+struct LabelState {
+  std::uint64_t revision = 0;          ///< grows with every change
+  std::uint64_t overlay_revision = 0;  ///< of the labels of views
+  std::uint64_t overlay_events = 0;    ///< events that those labels know; `events`: all
+  std::uint64_t events = 0;
+  std::uint64_t marks_revision = 0;  ///< `revision` when they changed last
+  std::string name, run_dir, device;
+  std::int64_t step = 0;
+  double train_s = 0, loss = 0, psnr_db = 0, rays_per_s = 0;
+  bool geometry_ready = false;
+  std::string phase;  ///< a short sentence
+  int named = 0, room = 0;
+  double temperature = 1;
+  std::vector<ClassState> classes;  ///< the named ones
+  std::vector<ViewState> views;
+  std::optional<ProposalState> proposal;
+  std::vector<Annotations::Mark> marks;  ///< Mark::frame: a frame of the scene; see LabelSession::view_of
+  std::vector<std::string> notes;        ///< warnings of the scene and the run
+  std::string trouble;  ///< not empty: files of the run could not be written; it goes on, and tries again
+  std::string failure;  ///< not empty: training has ended with this; what was labelled is safe
+};
+
+struct PictureRequest {
+  std::string client;  ///< a later request of the same client takes the place of one that waits
+  int view = 0;        ///< number in LabelState::views
+  bool color = false;  ///< rendered colour
+  bool labels = true;
+  bool entropy = false;
+  bool full = false;  ///< every pixel rendered: the view's final labels
+};
+
+/// Maps row by row; those that were not requested are empty.
+struct Picture {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<std::uint8_t> rgb;
+  std::vector<std::int16_t> label;    ///< class indices, kVoid for none
+  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a fraction of the largest there can be
+  std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
+  std::uint64_t overlay_revision = 0;
+  double render_ms = 0;
+  bool stale = false;  ///< nothing was made: a later request took the place, or the session ends
+};
 
 struct LabelLoopOptions {
   std::int64_t map_rays = 400'000;  ///< of the coarse maps of all views together

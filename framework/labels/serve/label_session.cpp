@@ -4,20 +4,28 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <exception>
 #include <filesystem>
 #include <functional>
 #include <iterator>
 #include <memory>
 #include <mutex>
+#include <numeric>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "core/checksum.h"
 #include "core/error.h"
+#include "core/files.h"
+#include "eval/image_output.h"
+#include "eval/metrics.h"
+#include "formats/image_io.h"
 #include "labels/clicks/annotations.h"
+#include "labels/mask_outlines.h"
 #include "labels/serve/view_pictures.h"
 #include "labels/training_labels.h"
 
@@ -31,6 +39,7 @@ constexpr double kTendingShare = 0.05;       // of the time of training, once ev
 constexpr double kFirstTendingShare = 0.5;   // until then
 constexpr double kLookedAtShare = 0.5;       // of the time of training, for the view that somebody looks at
 constexpr double kSlice_s = 0.03;            // of work on clicks, between steps of training
+constexpr std::size_t kLeastToFit = 10;      // clicks; and half as many again as at the last fit
 constexpr double kKeepAgain_s = 5;           // after files could not be written
 constexpr std::size_t kGivenPixels = 48;     // of a class in a frame whose labels the configuration gives
 constexpr std::size_t kMostGiven = 6000;
@@ -175,6 +184,39 @@ bool LabelRun::learn_new(double budget_s) {
   return true;
 }
 
+// True when the temperature has changed.
+bool LabelRun::fit_a_fold() {
+  const std::size_t own = clicks_.size() - given_.size();
+  if (own < kLeastToFit || own * 2 < fitted_at_ * 3) return false;
+  for (HeldBack& held : loop_.hold_back(clicks_, fold_)) held_back_.push_back(std::move(held));
+  if (++fold_ < kCalibrationFolds) return false;
+  const std::optional<double> temperature = fit_temperature(held_back_);
+  fold_ = 0;
+  held_back_.clear();
+  fitted_at_ = own;
+  if (temperature) loop_.set_temperature(*temperature);
+  return temperature.has_value();
+}
+
+void LabelRun::ask() {
+  proposal_.reset();
+  if (!loop_.ready()) return;
+  const std::optional<Asked> asked = loop_.propose(session().config.runtime.seed, asked_++);
+  if (!asked) return;
+  const PoolPoint& point = loop_.pool().points[static_cast<std::size_t>(asked->point)];
+  ProposalState proposal;
+  proposal.id = fmt::format("q{}", asked_);
+  proposal.view = point.view;
+  proposal.at = {point.pixel.column + 0.5, point.pixel.row + 0.5};
+  proposal.why = asked->why;
+  if (const std::vector<float>& p = loop_.pool_probability(); !p.empty()) {
+    const auto row = p.begin() + std::ptrdiff_t{asked->point} * loop_.classes();
+    const std::ptrdiff_t best = std::max_element(row, row + loop_.classes()) - row;
+    proposal.class_guess = session().plan.class_of_logit[static_cast<std::size_t>(best)];
+  }
+  proposal_ = std::move(proposal);
+}
+
 bool LabelRun::still_learns() const {
   return !training_.at_its_end() || (changed_step_ >= 0 && training_.step() < changed_step_ + kAfterChange);
 }
@@ -235,6 +277,65 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
   return changed;
 }
 
+void LabelRun::describe(LabelState& state) const {
+  state.name = session().config.name;
+  state.run_dir = run_->run_dir();
+  state.device = session().pipeline->executor().description();
+  state.step = training_.step();
+  state.train_s = training_.train_s();
+  state.loss = loss_;
+  state.psnr_db = mse_ > 0 ? -10 * std::log10(mse_) : 0;
+  state.rays_per_s = rays_per_s_;
+  state.geometry_ready = loop_.ready() && (loop_.learned() || !unlearned_);
+  state.temperature = loop_.temperature();
+  state.proposal = proposal_;
+  if (state.failure.empty())
+    state.phase = !still_learns()   ? "trained; more clicks continue it"
+                  : !loop_.ready()  ? "learning colour and geometry"
+                  : loop_.learned() ? "learning with your clicks"
+                                    : "ready for the first click";
+  for (ClassState& cls : state.classes) {
+    const auto c = static_cast<std::size_t>(cls.index);
+    if (c >= summary_.area.size()) continue;
+    cls.area_share = summary_.area[c];
+    cls.confidence = summary_.sure[c];
+  }
+  for (std::size_t v = 0; v < state.views.size(); ++v) {
+    state.views[v].ready = state.views[v].held_out ? loop_.ready() : !loop_.views()[v].map.empty();
+    if (v < summary_.entropy.size()) state.views[v].entropy = summary_.entropy[v];
+  }
+}
+
+void LabelRun::summarise() {
+  const std::vector<float>& probability = loop_.pool_probability();
+  const auto width = static_cast<std::size_t>(loop_.classes());
+  const std::size_t points = loop_.pool().points.size();
+  std::vector<double> count(static_cast<std::size_t>(session().classes()), 0), sure(count), entropy(points, 1);
+  const double most = loop_.most_entropy();
+  for (std::size_t i = 0; i < points && !probability.empty(); ++i) {
+    const std::span<const float> row = std::span(probability).subspan(i * width, width);
+    const auto best = static_cast<std::size_t>(std::max_element(row.begin(), row.end()) - row.begin());
+    const auto cls = static_cast<std::size_t>(session().plan.class_of_logit[best]);
+    count[cls] += 1;
+    sure[cls] += static_cast<double>(row[best]);
+    entropy[i] = std::min(1.0, entropy_nats(row) / most);
+  }
+  summary_ = {count, sure, {}};
+  for (std::size_t c = 0; c < count.size(); ++c) {
+    summary_.sure[c] = count[c] > 0 ? sure[c] / count[c] : 0;
+    summary_.area[c] = points > 0 ? count[c] / static_cast<double>(points) : 0;
+  }
+  for (const std::vector<std::int32_t>& seen : loop_.pool().point_of_pixel) {
+    double sum = 0, pixels = 0;
+    for (const std::int32_t point : seen) {
+      if (point < 0) continue;
+      sum += entropy[static_cast<std::size_t>(point)];
+      pixels += 1;
+    }
+    summary_.entropy.push_back(pixels > 0 ? sum / pixels : 1);
+  }
+}
+
 bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
 
 void LabelRun::keep(bool checkpoint) {
@@ -264,6 +365,8 @@ constexpr int kClassRoom = 32;
 constexpr auto kPauseAfter = std::chrono::milliseconds(700);
 constexpr auto kQuietAfter = std::chrono::seconds(3);
 constexpr auto kLookedFor = std::chrono::seconds(10);
+constexpr auto kAbandonedLook = std::chrono::milliseconds(100);
+constexpr std::size_t kMostOrders = 16;  // each holds a thread of its caller
 
 // Keeps warnings for the page.
 class Noting final : public RunListener {
@@ -351,6 +454,39 @@ bool LabelSession::is_waited_for() const {
          std::any_of(orders_.begin(), orders_.end(), [](const auto& order) { return !order->done(); });
 }
 
+// Classes, marks and counts, from `annotations_`.
+void LabelSession::name_classes(LabelState& next) const {
+  const std::vector<ClassState> before = std::move(next.classes);
+  next.classes.clear();
+  const ClassTable& table = annotations_.classes();
+  for (int c = 0; c < annotations_.named_classes(); ++c) {
+    if (!annotations_.is_named(c)) continue;
+    const ClassEntry& entry = table.valid(c);
+    ClassState cls;
+    const auto known =
+        std::find_if(before.begin(), before.end(), [&](const ClassState& old) { return old.index == c; });
+    if (known != before.end()) cls = *known;
+    cls.index = c;
+    cls.id = entry.id;
+    cls.name = entry.name;
+    cls.color = entry.color;
+    cls.own = c < annotations_.own_classes();
+    cls.clicks = 0;
+    next.classes.push_back(cls);
+  }
+  for (ViewState& view : next.views) view.clicks = 0;
+  next.marks = annotations_.marks();
+  for (const Annotations::Mark& mark : next.marks) {
+    const auto cls = std::find_if(next.classes.begin(), next.classes.end(),
+                                  [&](const ClassState& c) { return c.index == mark.class_index; });
+    if (cls != next.classes.end()) ++cls->clicks;
+    if (const int view = view_of(mark.frame); view >= 0) ++next.views[static_cast<std::size_t>(view)].clicks;
+  }
+  next.named = static_cast<int>(next.classes.size());
+  next.room = table.valid_count();
+  next.marks_revision = next.revision + 1;
+}
+
 bool LabelSession::apply(const LabelEvent& event) {
   const std::lock_guard events(events_mutex_);
   if (!annotations_.check(event)) return false;
@@ -376,6 +512,65 @@ std::shared_ptr<const LabelState> LabelSession::wait_state(std::uint64_t after, 
   std::unique_lock lock(mutex_);
   changed_.wait_for(lock, most, [&] { return state_->revision > after || stopping_; });
   return state_;
+}
+
+Picture LabelSession::picture(const PictureRequest& request, const std::function<bool()>& abandoned) {
+  const auto order = std::make_shared<Order>();
+  order->request = request;
+  std::unique_lock lock(mutex_);
+  Picture none;
+  none.stale = true;
+  std::vector<std::shared_ptr<Order>> others;
+  for (const std::shared_ptr<Order>& other : orders_) {
+    if (other->done()) continue;
+    if (other->request.client == request.client) {
+      other->made = none;
+    } else {
+      others.push_back(other);
+    }
+  }
+  if (others.size() >= kMostOrders) others.front()->made = none;
+  if (stopping_ || ended_) return none;
+  orders_.push_back(order);
+  last_look_ = Clock::now();
+  changed_.notify_all();
+  poke();
+  while (!changed_.wait_for(lock, kAbandonedLook, [&] { return order->done() || ended_; }))
+    if (abandoned && abandoned()) order->made = none;
+  std::erase(orders_, order);
+  if (order->error) throw *order->error;
+  return order->made ? std::move(*order->made) : none;
+}
+
+Image<std::uint8_t> LabelSession::photo(int view, std::int32_t most_px) {
+  const int frame = frame_of(view);
+  const StoredFrame& trained = opened().scene.frames.at(static_cast<std::size_t>(frame));
+  if (most_px > 0 && most_px <= std::max(trained.width_px, trained.height_px))
+    return {trained.width_px, trained.height_px, 3, trained.rgb};
+  const std::lock_guard lock(photo_mutex_);
+  if (!dataset_) dataset_ = open_dataset();
+  if (kept_frame_ == frame) return kept_photo_;
+  FrameBuffer buffer;
+  dataset_->read(frame, buffer);
+  kept_photo_ = {buffer.width_px, buffer.height_px, 3, std::move(buffer.rgb)};
+  kept_frame_ = frame;
+  return kept_photo_;
+}
+
+std::unique_ptr<Dataset> LabelSession::open_dataset() const {
+  const RunConfig& config = opened().config;
+  DatasetBuild build;
+  build.config_dir = config.base_dir;
+  std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, build);
+  Diagnostics found;
+  const SceneInfo info = dataset->open(found);
+  found.throw_if_errors(ErrorKind::data, "the photographs cannot be read any more:");
+  const std::vector<FrameInfo>& loaded = opened().scene.info.frames;
+  if (!std::equal(info.frames.begin(), info.frames.end(), loaded.begin(), loaded.end(),
+                  [](const FrameInfo& a, const FrameInfo& b) { return a.name == b.name; }))
+    throw Error(ErrorKind::data, "scene.frames.changed", "the scene's files list other frames than were loaded",
+                "start semfield serve again");
+  return dataset;
 }
 
 void LabelSession::save() {
@@ -550,6 +745,85 @@ void LabelSession::run() {
   if (failure_) return;
   run_.keep(true);
   run_.write_record(*state());
+}
+
+namespace {
+
+constexpr std::size_t kShown = 4;  // frames with pictures
+constexpr std::array<std::uint8_t, 3> kRim{{255, 255, 255}};
+
+using Mark = Annotations::Mark;
+
+void paint(std::vector<std::uint8_t>& rgb, const StoredFrame& photo, const Mark& mark, double radius_px,
+           const std::array<std::uint8_t, 3>& color) {
+  for (const PixelRun& run : stroke_runs(mark.points, radius_px, photo.width_px, photo.height_px))
+    for (std::int32_t x = run.x0; x < run.x1; ++x)
+      std::copy(color.begin(), color.end(),
+                rgb.begin() + 3 * (static_cast<std::ptrdiff_t>(run.y) * photo.width_px + x));
+}
+
+// The photograph with the frame's clicks in the colours of their classes, large enough to be seen, with a light rim.
+std::vector<std::uint8_t> with_clicks(const StoredFrame& photo, const std::vector<const Mark*>& marks,
+                                      const ClassTable& classes) {
+  std::vector<std::uint8_t> rgb = photo.rgb;
+  const double least = std::max(1.0, photo.width_px / 160.0);
+  for (const double rim : {std::max(1.0, least / 3), 0.0})
+    for (const Mark* mark : marks) {
+      const std::array<std::uint8_t, 3> color =
+          mark->class_index == kVoid ? std::array<std::uint8_t, 3>{} : classes.valid(mark->class_index).color;
+      paint(rgb, photo, *mark, std::max(mark->radius_px, least) + rim, rim > 0 ? kRim : color);
+    }
+  return rgb;
+}
+
+void write_pictures(const RunFolder& folder, const Session& session, LabelLoop& loop, int view,
+                    const std::vector<const Mark*>& marks) {
+  const PoolView& pool_view = loop.view(view);
+  const std::string& name = session.scene.info.frames[static_cast<std::size_t>(pool_view.frame)].name;
+  const auto path = [&](const char* kind) { return folder.render_path("labelled", name, kind); };
+  const StoredFrame& photo = *pool_view.photo;
+  const ClassTable& classes = session.scene.info.classes;
+  write_png_rgb(path("clicks"), photo.width_px, photo.height_px, with_clicks(photo, marks, classes));
+  if (!loop.learned()) return;
+  const ViewLabels labels = loop.labels_of(view);
+  write_png_rgb(path("label_vis"), labels.width_px, labels.height_px, label_colors(labels.label, classes));
+  std::vector<std::uint8_t> entropy;
+  for (const std::uint8_t share : labels.entropy) {
+    const std::array<std::uint8_t, 3> color = perceptual_color(share / 255.0);
+    entropy.insert(entropy.end(), color.begin(), color.end());
+  }
+  write_png_rgb(path("entropy_vis"), labels.width_px, labels.height_px, entropy);
+}
+
+}  // namespace
+
+void LabelRun::write_record(LabelState state) {
+  describe(state);
+  LabellingRecord record;
+  record.step = state.step;
+  record.clicks = std::ssize(state.marks);
+  record.frames = std::ssize(loop_.pooled());
+  for (const ClassState& c : state.classes)
+    record.classes.push_back({c.id, c.name, c.color, c.clicks, c.area_share, c.confidence});
+  std::set<int> clicked;
+  std::vector<std::vector<const Mark*>> marks(loop_.views().size());
+  for (const Mark& mark : state.marks) {
+    clicked.insert(mark.frame);
+    if (const int view = view_of(mark.frame); view >= 0) marks[static_cast<std::size_t>(view)].push_back(&mark);
+  }
+  record.clicked_frames = std::ssize(clicked);
+  const auto clicks_of = [&](int view) -> const auto& { return marks[static_cast<std::size_t>(view)]; };
+  std::vector<int> views(loop_.pooled().size());
+  std::iota(views.begin(), views.end(), 0);
+  std::stable_sort(views.begin(), views.end(), [&](int a, int b) { return clicks_of(a).size() > clicks_of(b).size(); });
+  for (const int view : views) {
+    const std::vector<const Mark*>& of_view = clicks_of(view);
+    if (of_view.empty() || record.shown.size() == kShown) break;
+    write_pictures(folder(), session(), loop_, view, of_view);
+    const auto frame = static_cast<std::size_t>(loop_.view(view).frame);
+    record.shown.push_back({session().scene.info.frames[frame].name, std::ssize(of_view)});
+  }
+  write_file_atomic(folder().labelling_path(), labelling_record_json(record));
 }
 
 }  // namespace semfield

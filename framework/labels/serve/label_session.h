@@ -16,7 +16,6 @@
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
 #include "labels/serve/label_loop.h"
-#include "labels/serve/label_state.h"
 #include "labels/serve/view_pictures.h"
 #include "plugin/dataset.h"
 #include "plugin/registry.h"

@@ -7,15 +7,12 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <mutex>
 #include <utility>
 
 #include "compute/parallel.h"
 #include "core/files.h"
-#include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/serve/label_loop.h"
-#include "labels/serve/label_session.h"
 
 namespace semfield {
 
@@ -314,122 +311,6 @@ ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo) {
     }
   });
   return out;
-}
-
-ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
-  PoolView& view = views_[static_cast<std::size_t>(v)];
-  if (static_cast<std::size_t>(v) >= pooled_ && ready() && due(view)) view.map = map_of(v, stride_);
-  const SurfaceMap& map = fine != nullptr ? *fine : view.map;
-  CoarseLabels coarse{map.stride, map.width_px, map.height_px, {}, {}};
-  coarse.label.assign(map.distance_m.size(), kVoid);
-  coarse.entropy.assign(map.distance_m.size(), 0);
-  if (learned_ && !map.empty()) {
-    std::vector<Vec3d> positions;
-    std::vector<std::size_t> where;
-    for (std::size_t i = 0; i < map.distance_m.size(); ++i) {
-      if (map.distance_m[i] > 0) where.push_back(i);
-    }
-    positions.resize(where.size());
-    for_each_index(where.size(), [&](std::size_t k) {
-      const PixelPlace pixel = strided_place(static_cast<std::int64_t>(where[k]), map.width_px, map.stride);
-      positions[k] =
-          point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
-    });
-    const std::vector<float> probability = probabilities(learner_.rows_at(positions), positions, temperature_);
-    const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
-    const auto width = static_cast<std::size_t>(classes());
-    const double most = most_entropy();
-    for_each_index(where.size(), [&](std::size_t k) {
-      const std::span<const float> row(&probability[k * width], width);
-      const std::ptrdiff_t best = std::max_element(row.begin(), row.end()) - row.begin();
-      coarse.label[where[k]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(best)]);
-      coarse.entropy[where[k]] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, entropy_nats(row) / most)));
-    });
-  }
-  ViewLabels labels = upsampled(coarse, *view.photo);
-  for (const LabelledPixels& click : clicks_) {
-    if (click.view != v) continue;
-    for (const PixelPlace& pixel : click.pixels) {
-      const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * labels.width_px + pixel.column);
-      labels.label[at] = click.class_index;
-      labels.entropy[at] = 0;
-    }
-  }
-  const std::vector<bool>& ignored = ignored_[static_cast<std::size_t>(v)];
-  for (std::size_t p = 0; p < ignored.size(); ++p) {
-    if (!ignored[p]) continue;
-    labels.label[p] = kVoid;
-    labels.entropy[p] = 0;
-  }
-  return labels;
-}
-
-// What a page asks of a session.
-
-namespace {
-
-constexpr auto kAbandonedLook = std::chrono::milliseconds(100);
-constexpr std::size_t kMostOrders = 16;  // each holds a thread of its caller
-
-}  // namespace
-
-Picture LabelSession::picture(const PictureRequest& request, const std::function<bool()>& abandoned) {
-  const auto order = std::make_shared<Order>();
-  order->request = request;
-  std::unique_lock lock(mutex_);
-  Picture none;
-  none.stale = true;
-  std::vector<std::shared_ptr<Order>> others;
-  for (const std::shared_ptr<Order>& other : orders_) {
-    if (other->done()) continue;
-    if (other->request.client == request.client) {
-      other->made = none;
-    } else {
-      others.push_back(other);
-    }
-  }
-  if (others.size() >= kMostOrders) others.front()->made = none;
-  if (stopping_ || ended_) return none;
-  orders_.push_back(order);
-  last_look_ = Clock::now();
-  changed_.notify_all();
-  poke();
-  while (!changed_.wait_for(lock, kAbandonedLook, [&] { return order->done() || ended_; }))
-    if (abandoned && abandoned()) order->made = none;
-  std::erase(orders_, order);
-  if (order->error) throw *order->error;
-  return order->made ? std::move(*order->made) : none;
-}
-
-Image<std::uint8_t> LabelSession::photo(int view, std::int32_t most_px) {
-  const int frame = frame_of(view);
-  const StoredFrame& trained = opened().scene.frames.at(static_cast<std::size_t>(frame));
-  if (most_px > 0 && most_px <= std::max(trained.width_px, trained.height_px))
-    return {trained.width_px, trained.height_px, 3, trained.rgb};
-  const std::lock_guard lock(photo_mutex_);
-  if (!dataset_) dataset_ = open_dataset();
-  if (kept_frame_ == frame) return kept_photo_;
-  FrameBuffer buffer;
-  dataset_->read(frame, buffer);
-  kept_photo_ = {buffer.width_px, buffer.height_px, 3, std::move(buffer.rgb)};
-  kept_frame_ = frame;
-  return kept_photo_;
-}
-
-std::unique_ptr<Dataset> LabelSession::open_dataset() const {
-  const RunConfig& config = opened().config;
-  DatasetBuild build;
-  build.config_dir = config.base_dir;
-  std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, build);
-  Diagnostics found;
-  const SceneInfo info = dataset->open(found);
-  found.throw_if_errors(ErrorKind::data, "the photographs cannot be read any more:");
-  const std::vector<FrameInfo>& loaded = opened().scene.info.frames;
-  if (!std::equal(info.frames.begin(), info.frames.end(), loaded.begin(), loaded.end(),
-                  [](const FrameInfo& a, const FrameInfo& b) { return a.name == b.name; }))
-    throw Error(ErrorKind::data, "scene.frames.changed", "the scene's files list other frames than were loaded",
-                "start semfield serve again");
-  return dataset;
 }
 
 std::optional<StoredSize> stored_size_of(const FrameInfo& frame) {

@@ -11,7 +11,6 @@
 #include "eval/evaluator.h"
 #include "labels/clicks/annotations.h"
 #include "labels/serve/label_loop.h"
-#include "labels/serve/label_state.h"
 #include "scene/scene.h"
 #include "surface/surface_graph.h"
 
