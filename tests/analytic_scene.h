@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <memory>
 
-#include "plugin/dataset.h"
+#include "scene/dataset.h"
 
 namespace semfield::testkit {
 

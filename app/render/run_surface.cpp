@@ -148,7 +148,7 @@ std::string viewer(const std::string& title, const Json& facts, const std::strin
   std::string script = part("../../serve/page/pointer.js");
   constexpr std::string_view kExport = "export ";  // the page is no module
   script.erase(script.find(kExport), kExport.size());
-  for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
+  for (const char* name : {"drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
   if (live) script += part("live.js");
   return filled_page(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
                                            {"<!--title-->", html_escape(title)},

@@ -28,7 +28,6 @@
 #include "config/compose.h"
 #include "config/explain.h"
 #include "config/params.h"
-#include "config/schema.h"
 #include "config/settings/choices.h"
 #include "config/settings/run_config.h"
 #include "core/error.h"

@@ -5,7 +5,7 @@
 #include <system_error>
 #include <utility>
 
-#include "config/config_files.h"
+#include "config/config_words.h"
 #include "config/explain.h"
 #include "core/files.h"
 #include "core/text.h"

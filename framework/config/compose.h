@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "config/config_tree.h"
-#include "config/overrides.h"
+#include "config/config_words.h"
 #include "core/error.h"
 
 namespace semfield {

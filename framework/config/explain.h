@@ -1,10 +1,12 @@
-// What a composed configuration is made of, what is wrong with it, and how two differ, as text.
+// A configuration as text: what a composed one is made of, what is wrong with it, how two differ, and a JSON schema of
+// its keys.
 #pragma once
 
 #include <string>
 #include <vector>
 
 #include "config/config_tree.h"
+#include "config/params.h"
 #include "core/error.h"
 
 namespace semfield {
@@ -39,5 +41,22 @@ struct ConfigDifference {
 
 /// In the order of `a` and then of what only `b` has. Places and the order of keys do not count.
 std::vector<ConfigDifference> config_differences(const ConfigNode& a, const ConfigNode& b);
+
+// A JSON schema of the configuration, for editors: fixed sections and plugin slots by key path.
+
+/// The keys of one map, `path` being its key path: "train", "train.adam", "" for the top; "passes[]" is each item of a
+/// list. With `alternatives` ("scene", "passes[].sampler") the map's key `type` chooses one of them by its `path`, and
+/// sections at or below the same path ("scene.labels") are allowed with every alternative.
+struct SchemaSection {
+  std::string path;
+  std::string sentence;
+  std::vector<ParamDoc> params = {};
+  bool or_list = false;  ///< a list of such maps may stand there too
+  std::vector<SchemaSection> alternatives = {};
+};
+
+/// JSON schema (draft 7), indented by two spaces. Every map refuses keys that are not listed; a slot without `type` may
+/// hold keys of any alternative, since `include` or `like` can bring the type. The top also allows `include`.
+std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections);
 
 }  // namespace semfield

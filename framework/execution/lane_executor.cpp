@@ -12,7 +12,6 @@
 #include "compute/math_functions.h"
 #include "compute/parallel.h"
 #include "core/check.h"
-#include "execution/soundness.h"
 #include "model/losses/semantic_cross_entropy.h"
 #include "scene/classes/class_table.h"
 
@@ -346,7 +345,7 @@ std::size_t LaneExecutor<Real>::workspace_bytes() const {
 template <class Real>
 void LaneExecutor<Real>::require_sound(std::int64_t step, const StepLosses& losses) {
   if (hook_) hook_({step, pipeline_.store().learned_gradients(), nullptr});
-  semfield::require_sound(pipeline_.store(), step, losses, options().losses);
+  pipeline_.require_sound(step, losses);
 }
 
 template <class Real>

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "core/workspace.h"
@@ -72,6 +73,12 @@ class Pipeline {
   BatchScales scales_of(const RayBatch& batch) const;
   /// Means and total of a batch's sums.
   StepLosses means_of(const StepLosses& sums, const BatchScales& scales) const;
+  /// Throws Error(failure) naming the first loss, or element of a gradient, value, moment or state, that is not finite
+  /// or too large for an update. Of tables and large states a step looks at a window.
+  void require_sound(std::int64_t step, const StepLosses& losses) const;
+  /// The tensor behind a value that is not finite: one that holds such a value, else the largest value of all if it is
+  /// out of all proportion; "": none.
+  std::string suspect_tensor() const;
 
  private:
   std::vector<std::int64_t> per_ray_;
@@ -83,6 +90,10 @@ class Pipeline {
   std::unique_ptr<Executor<Real>> other_;  // than the lanes
   Executor<Real>* executor_ = nullptr;
 };
+
+/// "row 3, column 1".
+template <class Real>
+std::string element_text(const Tensor<Real>& tensor, std::int64_t element);
 
 /// The options with the tiles and lanes that they leave open.
 template <class Real>

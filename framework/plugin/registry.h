@@ -13,7 +13,6 @@
 
 #include "config/params.h"
 #include "core/error.h"
-#include "plugin/dataset.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/grouping.h"
@@ -21,6 +20,7 @@
 #include "plugin/kernels.h"
 #include "plugin/loss.h"
 #include "plugin/sampler.h"
+#include "scene/dataset.h"
 
 namespace semfield {
 

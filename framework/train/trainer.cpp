@@ -8,7 +8,6 @@
 #include "compute/isa.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
-#include "execution/soundness.h"
 #include "plugin/loader.h"
 #include "train/assembly.h"
 
@@ -219,7 +218,7 @@ void Trainer::fail(const Error& error) {
   if (fault && !is_ray && fault->message() != error.message()) text += "; ";
   if (fault && (is_ray || fault->message() != error.message())) text += fault->message();
   if (fault) text += "; " + rays_->place_of_row(step_, fault->ray());
-  const std::string tensor = suspect_tensor(pipeline().store());
+  const std::string tensor = pipeline().suspect_tensor();
   if (!tensor.empty() && text.find(tensor) == std::string::npos) text += "; " + tensor;
   throw Error(cause.kind(), cause.code(), text + "; nothing was changed in this step", cause.remedy());
 }

@@ -4,10 +4,9 @@
 #include "config/settings/run_config.h"
 #include "core/check.h"
 #include "model/compositor.h"
-#include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/plugins.h"
-#include "python/core/scene_values.h"
+#include "python/core/values.h"
 #include "scene/loading/packed_scene.h"
 #include "train/run_folder.h"
 

@@ -19,9 +19,8 @@
 #include "plugin/loader.h"
 #include "plugin/loss.h"
 #include "plugin/parametric.h"
-#include "python/core/arrays.h"
 #include "python/core/errors.h"
-#include "python/core/scene_values.h"
+#include "python/core/values.h"
 
 namespace semfield::python {
 

@@ -13,11 +13,10 @@
 #include <sstream>
 
 #include "config/compose.h"
-#include "config/config_files.h"
 #include "config/config_tree.h"
+#include "config/config_words.h"
 #include "config/explain.h"
 #include "config/params.h"
-#include "config/schema.h"
 #include "core/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

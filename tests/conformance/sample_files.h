@@ -2,7 +2,7 @@
 #pragma once
 
 #include "formats/image_io.h"
-#include "plugin/dataset.h"
+#include "scene/dataset.h"
 #include "tests/conformance/dataset_samples.h"
 
 namespace semfield::testkit {

@@ -1,6 +1,6 @@
 // What a person does to the labels: clicks, classes, undo. Keeps what the program does not know yet and adds it to its state.
 import {safeStorage} from './dom.js';
-import {EventQueue, Ids} from './event_queue.js';
+import {EventQueue, Ids} from './api.js';
 import {MarkBirths, combined, kIgnore, merged, outlineCorners, strokeParts} from './model.js';
 
 const kMostHistory = 300;

@@ -8,7 +8,7 @@
 #include <initializer_list>
 
 #include "config/compose.h"
-#include "config/overrides.h"
+#include "config/config_words.h"
 #include "config/settings/run_config.h"
 #include "core/files.h"
 #include "labels/clicks/click_log.h"

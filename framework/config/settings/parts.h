@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "config/config_tree.h"
+#include "config/explain.h"
 #include "config/params.h"
-#include "config/schema.h"
 #include "core/error.h"
 #include "model/losses/loss_list.h"
 #include "model/render_rules.h"

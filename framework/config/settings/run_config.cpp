@@ -1,6 +1,6 @@
 // The way of a key: config/compose.cpp makes one tree of files and --set; each_section() below names every section
 // once, and by that list sections are read, validated, written to run.yaml and documented; config/params.cpp reads
-// the keys of one by its describe(), which stands with its struct, as in train_settings.h, and param_texts.cpp writes
+// the keys of one by its describe(), which stands with its struct, as in train_settings.h, and explain.cpp writes
 // and documents them.
 #include "config/settings/run_config.h"
 
@@ -11,7 +11,7 @@
 #include <string_view>
 
 #include "config/compose.h"
-#include "config/config_files.h"
+#include "config/config_words.h"
 #include "core/text.h"
 
 namespace semfield {

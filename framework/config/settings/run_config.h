@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "config/config_tree.h"
-#include "config/schema.h"
+#include "config/explain.h"
 #include "config/settings/parts.h"
 #include "config/settings/runtime_settings.h"
 #include "config/settings/surface_settings.h"

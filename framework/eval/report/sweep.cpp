@@ -14,7 +14,7 @@
 #include <string_view>
 
 #include "config/compose.h"
-#include "config/config_files.h"
+#include "config/config_words.h"
 #include "config/params.h"
 #include "config/settings/run_config.h"
 #include "core/check.h"

@@ -12,7 +12,7 @@
 #include <utility>
 #include <vector>
 
-#include "config/overrides.h"
+#include "config/config_words.h"
 #include "plugin/registry.h"
 
 namespace semfield {

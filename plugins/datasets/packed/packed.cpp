@@ -6,8 +6,8 @@
 #include "config/params.h"
 #include "core/check.h"
 #include "core/files.h"
-#include "plugin/dataset.h"
 #include "plugin/module.h"
+#include "scene/dataset.h"
 #include "scene/loading/packed_scene.h"
 #include "scene/scene.h"
 

@@ -1,4 +1,4 @@
-#include "python/core/scene_values.h"
+#include "python/core/values.h"
 
 #include <fmt/format.h>
 #include <pybind11/stl.h>
@@ -13,7 +13,6 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "formats/text_rows.h"
-#include "python/core/arrays.h"
 #include "scene/scene.h"
 
 namespace semfield::python {

@@ -1,18 +1,44 @@
-// Scenes as Python tells them: dicts that the package's own classes make (semfield/scenes.py).
+// Values between Python and the framework: arrays, and scenes as dicts that the package's own classes make
+// (semfield/scenes.py).
 #pragma once
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <cstdint>
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "config/compose.h"
+#include "core/view.h"
 #include "scene/scene.h"
 
 namespace semfield::python {
 
 namespace py = pybind11;
+
+/// An array that owns `values`, which are not copied.
+template <class T>
+py::array array_of(std::vector<T>&& values, std::vector<py::ssize_t> shape) {
+  auto owned = std::make_unique<std::vector<T>>(std::move(values));
+  T* const data = owned->data();
+  const py::capsule owner(owned.release(), [](void* p) { delete static_cast<std::vector<T>*>(p); });
+  return py::array_t<T>(std::move(shape), data, owner);
+}
+
+/// An array over borrowed memory, which must not be kept beyond the call that gets it.
+template <class T>
+py::array borrowed(View<T> view) {
+  using Value = std::remove_const_t<T>;
+  const py::capsule nobody(view.data == nullptr ? static_cast<const void*>("") : view.data, [](void*) {});
+  py::array_t<Value> out({static_cast<py::ssize_t>(view.rows), static_cast<py::ssize_t>(view.cols)},
+                         {static_cast<py::ssize_t>(view.row_stride * static_cast<std::int64_t>(sizeof(T))),
+                          static_cast<py::ssize_t>(sizeof(T))},
+                         view.data, nobody);
+  if (std::is_const_v<T>) out.attr("setflags")(py::arg("write") = false);
+  return out;
+}
 
 /// dict, list, tuple, str, bool, int, float, None and paths; NumPy's numbers too. `origin` stands for the file in
 /// messages. Throws Error(usage) naming the key for any other type.
@@ -29,8 +55,6 @@ std::vector<ConfigOverride> overrides_of(const py::dict& set);
 ConfigNode with_scene(const ConfigNode& tree, const py::dict& scene);
 
 ConfigNode composed(const py::object& config, const py::dict& set);
-
-namespace py = pybind11;
 
 /// [4, 4] float64, world from camera.
 py::array pose_array(const Pose& pose);
