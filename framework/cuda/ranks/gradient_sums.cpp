@@ -202,7 +202,6 @@ void GradientSums::sum_pass(std::size_t pass, FaultKey* fault) {
   sum_on_host(block, fault);
 }
 
-// What is left of a call when the ranks need each other no more may fail on one rank alone.
 void GradientSums::sum_on_host(std::span<float> block, FaultKey* fault) {
   FaultKey own = kNoFault;
   semfield::agree(*ranks_, [&] {  // an error of one rank ends the wait of all
@@ -226,14 +225,17 @@ void GradientSums::sum_on_host(std::span<float> block, FaultKey* fault) {
       own_.get()[begin + i] = total;
     }
   }
+  if (fault != nullptr) {
+    const std::vector<FaultKey> all = all_of(*ranks_, own);
+    least_ = *std::min_element(all.begin(), all.end());
+  }
+  // The ranks need each other no more: what is left may fail on one alone.
   if (!block.empty()) {
     check(cudaMemcpyAsync(block.data(), own_.get(), block.size_bytes(), cudaMemcpyHostToDevice, between_),
           "sending gradients");
   }
-  if (fault == nullptr) return;
-  const std::vector<FaultKey> all = all_of(*ranks_, own);
-  least_ = *std::min_element(all.begin(), all.end());
-  check(cudaMemcpyAsync(fault, &least_, sizeof least_, cudaMemcpyHostToDevice, between_), "sending a fault");
+  if (fault != nullptr)
+    check(cudaMemcpyAsync(fault, &least_, sizeof least_, cudaMemcpyHostToDevice, between_), "sending a fault");
 }
 
 void GradientSums::meet(FaultKey* fault) {
