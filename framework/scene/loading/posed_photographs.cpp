@@ -580,9 +580,8 @@ SceneInfo PosedPhotographs::open(std::vector<PosedPhotograph> all, PhotographRul
     if ((colors == 2 || colors == 4) && rules_.read.alpha_background >= 0 &&
         !photo.channels.contains(std::string(kAlphaChannel)))
       frame.channels.push_back(alpha_info(frame.camera));
-    for (const auto& [channel, file] : photo.channels) {
-      noting(diagnostics, place, [&] { frame.channels.push_back(channel_info(channel, file)); });
-    }
+    for (const auto& channel : photo.channels)
+      noting(diagnostics, place, [&] { frame.channels.push_back(channel_info(channel.first, channel.second)); });
     info_.frames.push_back(std::move(frame));
     photo.confidence = finder.of(photo.confidence);
     photo.find_camera = {};  // it may look at what ends with this call

@@ -90,8 +90,7 @@ class EventFrames {
   void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) const {
     std::vector<std::string> strays;
     for (const auto& [name, index] : frame_of_)
-      if (std::none_of(frames.begin(), frames.end(), [&](const FrameInfo& f) { return f.name == name; }))
-        strays.push_back("'" + name + "'");
+      if (std::ranges::find(frames, name, &FrameInfo::name) == frames.end()) strays.push_back("'" + name + "'");
     if (!strays.empty())
       diagnostics.warning("labels.frame.unmatched", file_,
                           fmt::format("{} of {} frames with clicks are not in the scene, such as {}", strays.size(),
