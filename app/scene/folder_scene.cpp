@@ -280,6 +280,9 @@ WrittenScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& 
   return score;
 }
 
+// Always a real number, as the scores of classes beside it.
+Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
+
 Json frame_json(const FrameInfo& info, const WrittenFiles& files, const WrittenScore& score) {
   Json out{{"name", info.name}, {"label", files.label}, {"preview", files.preview}};
   if (!files.probability.empty()) out["probability"] = files.probability;
@@ -288,8 +291,8 @@ Json frame_json(const FrameInfo& info, const WrittenFiles& files, const WrittenS
   out["height_px"] = shown.height_px;
   out["labelled_px"] = score.labelled_px;
   out["changed_px"] = score.has_truth ? Json(score.changed_px) : Json(nullptr);
-  out["accuracy"] = number_json<Json>(score.confusion.total_accuracy());
-  out["miou_present"] = number_json<Json>(score.confusion.miou_present());
+  out["accuracy"] = number(score.confusion.total_accuracy());
+  out["miou_present"] = number(score.confusion.miou_present());
   return out;
 }
 
@@ -301,10 +304,10 @@ Json total_json(const WrittenScore& total, const ClassTable& classes, std::size_
            {"scored_px", c.scored_px()},
            {"void_truth_px", c.void_truth_px()},
            {"void_given_px", c.void_predicted_px()},
-           {"accuracy", number_json<Json>(c.total_accuracy())},
-           {"average_accuracy", number_json<Json>(c.average_accuracy())},
-           {"miou", number_json<Json>(c.miou())},
-           {"miou_present", number_json<Json>(c.miou_present())}};
+           {"accuracy", number(c.total_accuracy())},
+           {"average_accuracy", number(c.average_accuracy())},
+           {"miou", number(c.miou())},
+           {"miou_present", number(c.miou_present())}};
   const std::vector<ClassScore> scores = c.per_class();
   Json& iou = out["per_class_iou"] = Json::object();
   for (std::size_t k = 0; k < scores.size(); ++k) {

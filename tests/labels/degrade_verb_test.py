@@ -81,6 +81,8 @@ class Degrade(ProgramCase):
         self.assertEqual((written.count("id: "), written.count("ignore: true")), (7, 1), written)
         self.assertRegex(written, r"id: 0\b.*ignore: true")
         self.assertGreater(self.ids("labels/semantic_class/semantic_class_2.png").count(0), 1190)
+        total = self.manifest("labels")["total"]  # figures are real numbers, whole or not
+        self.assertEqual((total["accuracy"], type(total["accuracy"])), (1, float), total)
 
     def test_a_used_folder_and_problems_leave_nothing_behind(self):
         self.config("{degrade: [{type: region_noise, instances: [77]}]}")
