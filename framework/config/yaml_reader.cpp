@@ -256,7 +256,7 @@ class TreeBuilder final : public YAML::EventHandler {
 };
 
 // What yaml-cpp's shortest messages mean to the person who wrote the file; 0.8 adds a name to that of an anchor.
-constexpr std::pair<std::string_view, const char*> kMessages[] = {
+const std::pair<std::string_view, const char*> kMessages[] = {
     {YAML::ErrorMsg::MAP_VALUE, "a ':' where no key can stand (quote texts that contain ': ')"},
     {YAML::ErrorMsg::UNKNOWN_TOKEN, "this character cannot start a value here (quote the text)"},
     {YAML::ErrorMsg::END_OF_MAP_FLOW, "a '{' or an entry of it is not closed"},
