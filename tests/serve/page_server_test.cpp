@@ -686,13 +686,13 @@ TEST_F(ServedPage, ClientsThatSendAByteAtATimeAreCutOffWhileOthersAreServed) {
 TEST_F(ServedPage, ClientsThatReadNothingAreCutOffWhileOthersAreServed) {
   PageOptions o = options();
   o.files["big.js"] = {"text/javascript", std::string(64 << 20, 'x')};
-  o.http.head_ms = 1000;
+  o.http.head_ms = 2000;
   start(o);
   std::list<Connection> deaf;
   for (int i = 0; i < 8; ++i) deaf.emplace_back(port());
   for (Connection& c : deaf) c.send(text("GET", "big.js"));
   for (int i = 0; i < 20; ++i) EXPECT_EQ(get("").status, 200);
-  std::this_thread::sleep_for(std::chrono::seconds(4));
+  std::this_thread::sleep_for(std::chrono::seconds(6));
   for (int i = 0; i < 12; ++i) deaf.emplace_back(port());  // more than the threads that would be left
   EXPECT_EQ(get("").status, 200);
 }
