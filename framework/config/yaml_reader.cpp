@@ -1,5 +1,5 @@
-// From YAML text to the tree, strictly. The only user of yaml-cpp, and of its events alone: its nodes tell no anchor
-// that nothing refers to, and no place of an alias, which takes time without bound to look through.
+// From YAML text to the tree, strictly. The only user of yaml-cpp, and of its events alone: its nodes tell neither
+// anchors nor the places of aliases, and a few aliases of aliases make a tree without bound.
 #include <yaml-cpp/eventhandler.h>
 #include <yaml-cpp/exceptions.h>
 #include <yaml-cpp/mark.h>
