@@ -392,10 +392,11 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
   void unwanted() {
     FieldBench<float> whole = bench<float>(kFew);
     whole.forward();
-    for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true},
-                                Wanted{true, true, false}}) {
+    for (int subset = 1; subset < 16; ++subset) {  // bits: the outputs, and whether the memory is there
+      const Wanted wanted{(subset & 1) != 0, (subset & 2) != 0, (subset & 4) != 0};
+      const bool keeps = (subset & 8) != 0;
       FieldBench<float> part = bench<float>(kFew);
-      single_.forward(part.ctx, part.box.values_only(), part.in(), part.out(wanted), {});
+      single_.forward(part.ctx, part.box.values_only(), part.in(), part.out(wanted), keeps ? part.saved() : Saved());
       const bool is_wanted[] = {wanted.sigma, wanted.rgb, wanted.feature};
       const auto got = part.outputs(), want = whole.outputs();
       for (std::size_t i = 0; i < got.size(); ++i) {
