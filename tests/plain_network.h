@@ -41,6 +41,7 @@ inline std::vector<double> plain_layer(FieldBench<double>& bench, const std::str
     if (bench.box.specs()[i].name == name + "/bias") bias = bench.box.value(i);
   }
   if (weight.empty() || bias.empty()) ADD_FAILURE() << "no tensors of " << name;
+  EXPECT_EQ(weight.rows, std::ssize(x)) << name;
   return plain_layer(x, weight, bias, relu);
 }
 
