@@ -233,6 +233,10 @@ TEST_F(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
     ASSERT_EQ(two_devices.losses.size(), one_device.losses.size());
     for (std::size_t i = 0; i < one_device.losses.size(); ++i)
       expect_near(two_devices.losses[i].total, one_device.losses[i].total, i == 0 ? 0 : 1e-5, yaml + std::to_string(i));
+    const StepLosses &first = two_devices.losses.at(0), &want = one_device.losses.at(0);
+    EXPECT_EQ(first.semantic, want.semantic) << yaml;
+    EXPECT_EQ(first.samples, want.samples) << yaml;
+    EXPECT_EQ(first.correct, want.correct) << yaml;
   }
 }
 

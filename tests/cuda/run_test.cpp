@@ -568,11 +568,12 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     for (const auto& [name, is_there] :
          {std::pair{channel::alpha, pool.with_alpha}, {channel::depth, pool.with_depth}}) {
       const View<const float> of_host = seen.targets.more[name];
-      ASSERT_EQ(of_host.empty(), !is_there) << name;
+      SCOPED_TRACE(name);
+      ASSERT_EQ(of_host.empty(), !is_there);
       if (!is_there) continue;
       const std::vector<float>& wanted = want.of(name);
-      expect_bits(there(got.targets.more[name]), wanted, "a channel");
-      EXPECT_EQ(std::memcmp(of_host.data, wanted.data(), wanted.size() * sizeof(float)), 0) << name;
+      expect_bits(there(got.targets.more[name]), wanted, "on the device");
+      EXPECT_EQ(std::memcmp(of_host.data, wanted.data(), wanted.size() * sizeof(float)), 0) << "as the host sees it";
     }
   }
 }
