@@ -78,6 +78,34 @@ TEST(DeclarationLaws, HoldForTheToy) {
   EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
 }
 
+/// Parameters each of which breaks one promise.
+struct Careless {
+  std::int64_t Bands = 2;
+  double empty = 1.5, outside = 9;
+  std::vector<double> some{1, 9};
+  bool mute = false;
+};
+void describe(ParamVisitor& visit, Careless& p) {
+  SEMFIELD_PARAM(visit, p, Bands, "has a capital letter");
+  SEMFIELD_PARAM(visit, p, empty, "has a range without a number", {2, 1});
+  SEMFIELD_PARAM(visit, p, outside, "has a default above its range", {0, 4});
+  SEMFIELD_PARAM(visit, p, some, "has an element above its range", {0, 4});
+  SEMFIELD_PARAM(visit, p, mute, "short");
+}
+
+TEST(DeclarationLaws, CatchEachCarelessDeclaration) {
+  Registry registry;
+  toy::register_into(registry);
+  PluginEntry entry = registry.get(PluginKind::encoder, "toy");
+  entry.summary = "Sines.";
+  entry.new_params = [] { return std::make_unique<ParamsOf<Careless>>(); };
+  EXPECT_HAS(testkit::to_text(testkit::declaration_laws(entry)), "entry: no sentence says what the plugin does",
+             "parameter 'Bands': ", "parameter 'empty': its range is empty",
+             "parameter 'outside': the default is outside its range",
+             "parameter 'some': the default is outside its range", "parameter 'mute': no sentence says what it is",
+             "config round trip: ");
+}
+
 TEST(EncoderLaws, BuildFromTheRegistryWithSettings) {
   Registry registry;
   toy::register_into(registry);
