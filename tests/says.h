@@ -22,20 +22,6 @@ inline std::string unsaid(std::string_view text, std::initializer_list<std::stri
   return "";
 }
 
-/// "" when a line of `text`, as it is shown, ends with the code and holds every one of `parts`; else that, and the
-/// text.
-inline std::string unsaid(std::string_view text, Code code, std::initializer_list<std::string_view> parts) {
-  const std::string end = std::string(" [") + code.text() + ']';
-  std::string_view rest = text, line;
-  std::string missing;
-  while (next_line(rest, line)) {
-    if (!line.ends_with(end)) continue;
-    missing = unsaid(line, parts);
-    if (missing.empty()) return "";
-  }
-  return missing.empty() ? "no line with" + end + " in '" + std::string(text) + "'" : missing;
-}
-
 /// "" when one of `findings` has the code and holds every one of `parts`; else what there is.
 inline std::string unfound(const std::vector<Diagnostic>& findings, Code code,
                            std::initializer_list<std::string_view> parts) {
@@ -121,9 +107,6 @@ template <class Call>
 /// and its text holds each of the words behind.
 #define EXPECT_ERROR(expression, code, ...) \
   EXPECT_EQ(::semfield::unrefused([&] { (void)(expression); }, code, {__VA_ARGS__}), "")
-
-/// The same of a text that is shown, such as the standard error of the program.
-#define EXPECT_SAID(text, code, ...) EXPECT_EQ(::semfield::unsaid(text, ::semfield::Code(code), {__VA_ARGS__}), "")
 
 /// The same of one of the findings of a Diagnostics.
 #define EXPECT_FINDING(diagnostics, code, ...) \

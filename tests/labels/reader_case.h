@@ -50,22 +50,6 @@ inline ClassTable room_table() {
                      {7, "table", {70, 80, 90}, false}});
 }
 
-/// Everything that open() reports, one per line.
-inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
-  Diagnostics diagnostics;
-  try {
-    (void)reader.open(known, diagnostics);
-  } catch (const Error& e) {
-    return std::string("thrown: ") + e.what();
-  }
-  std::string out;
-  for (const Diagnostic& d : diagnostics.all()) {
-    if (!out.empty()) out += "\n";
-    out += d.text();
-  }
-  return out;
-}
-
 /// Opens for a scene of these frames.
 inline ClassTable open_for(LabelReader& reader, const ClassTable& known, const std::vector<FrameInfo>& frames,
                            Diagnostics& diagnostics) {
