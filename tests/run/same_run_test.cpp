@@ -257,11 +257,16 @@ TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
     EXPECT_EQ(mine[i].get("loss"), theirs[i].get("loss"));
     EXPECT_EQ(mine[i].get("psnr"), theirs[i].get("psnr"));
   }
-  // A verb goes on with it where it is.
+  // A verb goes on with it where it is; a row past the checkpoint, as a kill leaves one, does not stay.
+  MetricsRow past = mine.back();
+  past.step = kSteps + 1;
+  past.set("loss", 77);
+  MetricsLog::resume(dir_ / "driven/metrics.jsonl", kSteps).append(past);
   TrainRequest request{.out_dir = dir_ / "driven", .resume = true};
   EXPECT_EQ(
       run_training(load_run_config(dir_ / "driven/run.yaml", {"train.steps=25"}, registry_), registry_, request).step,
       25);
+  for (const MetricsRow& row : read_metrics(dir_ / "driven/metrics.jsonl")) EXPECT_NE(row.get("loss"), 77) << row.step;
   EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
 }
 
