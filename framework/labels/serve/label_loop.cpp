@@ -108,14 +108,12 @@ void PointLearner::learn(const PointRows& rows, std::span<const std::int16_t> lo
     const double rate = options.learning_rate * (0.1 + 0.45 * (1 + std::cos(std::numbers::pi * done)));
     updates.push_back(adam_step(AdamParams{}, rate, n));
   }
-  PointLessons<float> lessons;
-  lessons.rows = rows.view();
-  lessons.logit = logit;
-  lessons.choice = points;
-  lessons.batch = options.batch;
-  lessons.updates = updates;
-  lessons.weight_decay = options.weight_decay;
-  pipeline_.executor().points().learn(lessons);
+  pipeline_.executor().points().learn({.rows = rows.view(),
+                                       .logit = logit,
+                                       .choice = points,
+                                       .batch = options.batch,
+                                       .updates = updates,
+                                       .weight_decay = options.weight_decay});
 }
 
 PointLearner::Kept PointLearner::keep() const {
@@ -354,9 +352,8 @@ std::uint64_t key_of(const LabelledPixels& click) {
   return hash;
 }
 
-}  // namespace
-
-namespace {
+constexpr float kMostLead = 6;           // of a way, beyond which it says no more
+constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: with fewer, cells of a surface do not touch
 
 std::int32_t pixel_in(double at, std::int32_t length_px) {
   return static_cast<std::int32_t>(std::clamp(std::floor(at), 0.0, static_cast<double>(length_px - 1)));
@@ -384,13 +381,6 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
       if (x != first.column || run.y != first.row) take(x, run.y);
   return out;
 }
-
-namespace {
-
-constexpr float kMostLead = 6;           // of a way, beyond which it says no more
-constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: with fewer, cells of a surface do not touch
-
-}  // namespace
 
 LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const LabelLoopOptions& options,
                      std::span<const int> held_out)
@@ -791,15 +781,9 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
 }
 
 std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round) const {
-  ProposalInput input;
-  input.pool = &pool_;
-  input.graph = &graph_;
-  input.probability = pool_probability_;
-  input.classes = learner_.classes();
   std::vector<std::int32_t> passed;
   for (const Vec3d& place : skipped_)
     if (const std::int32_t point = pool_.cells.near(place); point >= 0) passed.push_back(point);
-  input.passed = passed;
   std::vector<bool> barred;
   if (std::any_of(ignored_.begin(), ignored_.end(), [](const auto& pixels) { return !pixels.empty(); })) {
     for (const PoolPoint& point : pool_.points) {
@@ -808,12 +792,16 @@ std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round)
       barred.push_back(!ignored_[v].empty() && ignored_[v][static_cast<std::size_t>(pixel)]);
     }
   }
-  input.barred = &barred;
-  input.seed = seed;
-  input.round = round;
-  input.rules = options_.proposals;
   const WorkScope scope(pipeline_.options().work);
-  return choose_click(input);
+  return choose_click({.pool = &pool_,
+                       .graph = &graph_,
+                       .probability = pool_probability_,
+                       .classes = classes(),
+                       .passed = passed,
+                       .barred = &barred,
+                       .seed = seed,
+                       .round = round,
+                       .rules = options_.proposals});
 }
 
 void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {

@@ -107,6 +107,12 @@ std::vector<LabelledPixels> LabelRun::given_labels() const {
   return out;
 }
 
+LabelledPixels LabelRun::labelled(const Annotations::Mark& mark, std::span<const std::int16_t> painted) const {
+  const Camera& camera = session().scene.info.frames[static_cast<std::size_t>(mark.frame)].camera;
+  return {view_of(mark.frame), static_cast<std::int16_t>(mark.class_index),
+          pixels_of(mark, camera.width_px, camera.height_px, painted)};
+}
+
 void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> changed) {
   std::vector<std::vector<std::int16_t>> painted(view_of_frame_.size());
   for (const int f : changed) named_[static_cast<std::size_t>(f)].clear();
@@ -116,9 +122,7 @@ void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> 
         std::find(changed.begin(), changed.end(), mark.frame) == changed.end())
       continue;
     if (painted[frame].empty()) painted[frame] = annotations.paint(mark.frame, {});
-    const Camera& camera = session().scene.info.frames[frame].camera;
-    LabelledPixels named{view_of_frame_[frame], static_cast<std::int16_t>(mark.class_index),
-                         pixels_of(mark, camera.width_px, camera.height_px, painted[frame])};
+    LabelledPixels named = labelled(mark, painted[frame]);
     if (!named.pixels.empty()) named_[frame].push_back(std::move(named));
   }
   clicks_ = given_;
@@ -164,12 +168,8 @@ void LabelRun::take(const Annotations& annotations) {
   if (skips != skips_) {
     skips_ = skips;
     std::vector<LabelledPixels> skipped;
-    for (const Annotations::Mark& mark : annotations.skips()) {
-      const auto frame = static_cast<std::size_t>(mark.frame);
-      const Camera& camera = session().scene.info.frames[frame].camera;
-      if (view_of_frame_[frame] >= 0)
-        skipped.push_back({view_of_frame_[frame], 0, pixels_of(mark, camera.width_px, camera.height_px)});
-    }
+    for (const Annotations::Mark& mark : annotations.skips())
+      if (view_of(mark.frame) >= 0) skipped.push_back(labelled(mark));
     loop_.set_skipped(std::move(skipped));
   }
   summarise();
@@ -204,17 +204,15 @@ void LabelRun::ask() {
   const std::optional<Asked> asked = loop_.propose(session().config.runtime.seed, asked_++);
   if (!asked) return;
   const PoolPoint& point = loop_.pool().points[static_cast<std::size_t>(asked->point)];
-  ProposalState proposal;
-  proposal.id = fmt::format("q{}", asked_);
-  proposal.view = point.view;
-  proposal.at = {point.pixel.column + 0.5, point.pixel.row + 0.5};
-  proposal.why = asked->why;
+  proposal_ = {.id = fmt::format("q{}", asked_),
+               .view = point.view,
+               .at = {point.pixel.column + 0.5, point.pixel.row + 0.5},
+               .why = std::string(asked->why)};
   if (const std::vector<float>& p = loop_.pool_probability(); !p.empty()) {
     const auto row = p.begin() + std::ptrdiff_t{asked->point} * loop_.classes();
     const std::ptrdiff_t best = std::max_element(row, row + loop_.classes()) - row;
-    proposal.class_guess = session().plan.class_of_logit[static_cast<std::size_t>(best)];
+    proposal_->class_guess = session().plan.class_of_logit[static_cast<std::size_t>(best)];
   }
-  proposal_ = std::move(proposal);
 }
 
 bool LabelRun::still_learns() const {

@@ -76,6 +76,8 @@ class LabelRun {
   // Once the places of the clicks are known, which are looked for for about this long; true when it has learned.
   bool learn_new(double budget_s);
   bool fit_a_fold();
+  // A mark with its pixels; with `painted` those alone that still have its class.
+  LabelledPixels labelled(const Annotations::Mark& mark, std::span<const std::int16_t> painted = {}) const;
   void name_pixels(const Annotations& annotations, std::span<const int> changed);
   std::vector<LabelledPixels> given_labels() const;
   // What nobody shall name in these frames.
