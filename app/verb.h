@@ -104,6 +104,16 @@ class Options : NonCopyable {
   std::vector<std::shared_ptr<void>> kept_;
 };
 
+/// Of a verb that serves a page.
+struct PageVerbOptions : Options {
+  using Options::Options;
+  const std::optional<int>& port = value_in<std::optional<int>>(
+      "--port N", {}, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
+  const std::string& address =
+      value("--address ADDRESS", "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network",
+            "127.0.0.1");
+};
+
 /// What a verb does as one of several processes that mpirun or srun started.
 enum class Launch : std::uint8_t {
   alone,   ///< it is refused

@@ -51,7 +51,7 @@ install(FILES ${PROJECT_BINARY_DIR}/semfieldConfig.cmake ${PROJECT_BINARY_DIR}/s
 
 set_target_properties(semfield_app PROPERTIES INSTALL_RPATH "$ORIGIN/../${semfield_library_dir}")
 install(TARGETS semfield_app RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT app)
-foreach(folder configs scenes app/serve/page app/render/scene_page)  # found by core/files.h under the same names as in the source tree
+foreach(folder configs scenes app/serve/page)  # found by core/files.h under the same names as in the source tree
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_DATADIR}/semfield/${folder} COMPONENT app)
 endforeach()
 

@@ -9,13 +9,12 @@
 #include <ctime>
 #include <filesystem>
 #include <new>
+#include <regex>
 #include <string_view>
 
-#include "app/json_output.h"
 #include "app/objects/object_files.h"
 #include "core/error.h"
 #include "core/files.h"
-#include "eval/image_output.h"
 #include "eval/report/report.h"
 #include "scene/scene.h"
 #include "surface/mesh/field_surface.h"
@@ -111,13 +110,6 @@ std::vector<std::uint8_t> deflated(const std::vector<std::uint8_t>& bytes) {
 
 Json list_of(Vec3d v) { return {v.x, v.y, v.z}; }
 
-std::string ramp_text() {
-  std::vector<std::uint8_t> colors;
-  for (int i = 0; i < 256; ++i)
-    for (const std::uint8_t c : perceptual_color(i / 255.0)) colors.push_back(c);
-  return base64(colors);
-}
-
 Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage& page, const Box& box) {
   Json out{{"title", page.title},
            {"about", page.about},
@@ -133,29 +125,37 @@ Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage
            {"classes", Json::array()},
            {"objects", Json::array()}};
   if (page.eye) out["eye"] = list_of(*page.eye);
-  if (page.objects) out["objects"] = Json::parse(page_objects_json(*page.objects, classes));
+  if (page.objects) out["objects"] = page_objects(*page.objects, classes);
   if (!surface.attributes.has_labels()) return out;
   for (const ClassEntry& entry : classes.entries())
     if (!entry.ignore) out["classes"].push_back({{"id", entry.id}, {"name", entry.name}, {"color", entry.color}});
   return out;
 }
 
-// The viewer around `facts`; "connect": whom the page may ask.
-std::string viewer(const std::string& title, const Json& facts, const std::string& mesh, bool live) {
-  const auto part = [](const std::string& name) {
-    return read_text_file(shared_file("app/render/scene_page/" + name));
-  };
-  std::string script = part("../../serve/page/pointer.js");
-  constexpr std::string_view kExport = "export ";  // the page is no module
-  script.erase(script.find(kExport), kExport.size());
-  for (const char* name : {"drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
-  if (live) script += part("live.js");
-  return filled_page(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
-                                           {"<!--title-->", html_escape(title)},
-                                           {"/*style*/", part("viewer.css")},
-                                           {"/*script*/", script + part("viewer.js")},
-                                           {"/*facts*/", script_json(json_text(facts))},
-                                           {"/*mesh*/", mesh}});
+std::string page_part(const std::string& name, const char* ending) {
+  return read_text_file(shared_file("app/serve/page/" + name + ending));
+}
+
+// The viewer as one file around `facts`, which asks nobody for anything: its modules, each behind those that it
+// imports, without the words that make them modules.
+std::string one_file(const std::string& title, const Json& facts, const std::string& mesh) {
+  const std::regex module_words("^import .*|^export ", std::regex::multiline);
+  std::string script = "\"use strict\";\n";
+  for (const char* name : {"dom", "api", "pointer", "page", "camera", "drawing", "live", "objects", "view"})
+    script += std::regex_replace(page_part(name, ".js"), module_words, "");
+  const std::string policy =
+      "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'none'; img-src blob: "
+      "data:";
+  return filled_page(
+      page_part("view", ".html"),
+      {{"<title>Semfield</title>", "<meta http-equiv=\"Content-Security-Policy\" content=\"" + policy + "\">\n<title>" +
+                                       html_escape(title) + "</title>"},
+       {"<link rel=\"icon\" href=\"./icon.svg\" type=\"image/svg+xml\">", "<link rel=\"icon\" href=\"data:,\">"},
+       {"<link rel=\"stylesheet\" href=\"./style.css\">", "<style>\n" + page_part("style", ".css") + "</style>"},
+       {"<script type=\"module\" src=\"./view.js\"></script>",
+        "<script type=\"application/json\" id=\"facts\">" + script_json(json_text(facts)) +
+            "</script>\n<script type=\"text/plain\" id=\"mesh\">" + mesh + "</script>\n<script>\n" + script +
+            "</script>"}});
 }
 
 std::string today() {
@@ -195,7 +195,7 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
   return page;
 }
 
-std::string page_objects_json(const ObjectSet& objects, const ClassTable& classes) {
+Json page_objects(const ObjectSet& objects, const ClassTable& classes) {
   Json out = Json::array();
   for (const ObjectRow& row : objects.rows) {
     if (row.points == 0) continue;
@@ -204,7 +204,7 @@ std::string page_objects_json(const ObjectSet& objects, const ClassTable& classe
     for (const char* key : {"agreement", "area", "centroid"}) one.erase(key);
     out.push_back(std::move(one));
   }
-  return json_text(out);
+  return out;
 }
 
 std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSet& objects) {
@@ -215,9 +215,7 @@ std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSe
 
 std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page) {
   const Box box = box_of(surface, page);
-  Json facts = facts_of(surface, classes, page, box);
-  facts["ramp"] = ramp_text();
-  return viewer(page.title, facts, base64(deflated(packed(surface, page, box))), false);
+  return one_file(page.title, facts_of(surface, classes, page, box), base64(deflated(packed(surface, page, box))));
 }
 
 void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
@@ -227,20 +225,13 @@ void write_scene_page(const std::string& path, const Surface& surface, const Cla
   write_file_atomic(path, scene_page_text(surface, classes, dated));
 }
 
-std::string live_page_text(const std::string& title) {
-  return viewer(title, {{"live", true}, {"ramp", ramp_text()}}, "", true);
-}
-
-std::string scene_bytes(const Surface& surface, const ClassTable& classes, const ScenePage& page,
-                        const std::string& more) {
+std::pair<std::string, std::string> scene_parts(const Surface& surface, const ClassTable& classes,
+                                                const ScenePage& page, const Json& more) {
   const Box box = box_of(surface, page);
   Json facts = facts_of(surface, classes, page, box);
-  facts.update(Json::parse(more));
-  const std::string head = json_text(facts);
+  facts.update(more);
   const std::vector<std::uint8_t> mesh = deflated(packed(surface, page, box));
-  std::string out;
-  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>(head.size() >> shift & 0xFF);
-  return out + head + std::string(mesh.begin(), mesh.end());
+  return {json_text(facts), std::string(mesh.begin(), mesh.end())};
 }
 
 namespace {

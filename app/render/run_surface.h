@@ -6,9 +6,11 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/app_context.h"
+#include "app/json_output.h"
 #include "scene/classes/class_table.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/surface.h"
@@ -45,14 +47,11 @@ std::string scene_page_text(const Surface& surface, const ClassTable& classes, c
 void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
                       const ScenePage& page);
 
-/// The page of a program that answers it: it asks for the scene itself.
-std::string live_page_text(const std::string& title);
-/// A scene for that page: the length of its facts in 4 bytes, the facts as JSON, the mesh. `more`: keys of the facts
-/// beside them, a JSON object.
-std::string scene_bytes(const Surface& surface, const ClassTable& classes, const ScenePage& page,
-                        const std::string& more);
-/// Rows of the objects as the page reads them, a JSON list.
-std::string page_objects_json(const ObjectSet& objects, const ClassTable& classes);
+/// A scene for the page of a program that answers it: its facts with `more` of them, and the mesh, deflated.
+std::pair<std::string, std::string> scene_parts(const Surface& surface, const ClassTable& classes,
+                                                const ScenePage& page, const Json& more);
+/// Rows of the objects as the page reads them.
+Json page_objects(const ObjectSet& objects, const ClassTable& classes);
 /// The object of each vertex, 16 bits each.
 std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSet& objects);
 

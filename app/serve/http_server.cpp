@@ -249,10 +249,9 @@ std::string head_text(const HttpResponse& response, std::size_t bytes, bool keep
       "HTTP/1.1 {} {}\r\nContent-Type: {}\r\nContent-Length: {}\r\nCache-Control: {}\r\nConnection: {}\r\n"
       "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\n"
       "Cross-Origin-Resource-Policy: same-origin\r\n"
-      "Content-Security-Policy: default-src 'self'{}; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri "
+      "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri "
       "'none'; form-action 'none'\r\n",
-      response.status, reason(response.status), response.type, bytes, response.cache, keep ? "keep-alive" : "close",
-      response.own_code ? " 'unsafe-inline'" : "");
+      response.status, reason(response.status), response.type, bytes, response.cache, keep ? "keep-alive" : "close");
   if (!response.location.empty()) head += "Location: " + response.location + "\r\n";
   if (!response.allow.empty()) head += "Allow: " + response.allow + "\r\n";
   if (!response.download_name.empty())

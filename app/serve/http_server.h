@@ -71,7 +71,6 @@ struct HttpResponse {
   std::string cache = "no-store";   ///< Cache-Control
   std::string download_name{};      ///< not empty: the browser saves it under this name
   std::string location{}, allow{};  ///< headers of 308 and 405
-  bool own_code = false;            ///< a page whose styles and scripts stand in it
 };
 
 /// What a server calls for every request. Neither function throws.

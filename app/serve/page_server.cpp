@@ -40,7 +40,6 @@ using Clock = std::chrono::steady_clock;
 
 constexpr auto kStateLook = std::chrono::milliseconds(100);  // at exports, and whether the server ends
 constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
-constexpr const char* kJpeg = "image/jpeg";
 constexpr const char* kForEver = "private, max-age=31536000, immutable";
 
 Json run_json(const LabelState& s, const std::string& id) {
@@ -132,47 +131,39 @@ PageServer::PageServer(LabelSource& source, PageOptions options)
     : source_(source),
       options_(std::move(options)),
       exports_([&source] { source.save(); }, options_.exports),
-      host_(options_.token, options_.http, options_.next_port, "docs/reference/labelling_http.md", places()) {}
+      news_(options_.longest_poll_ms, options_.http.responses),
+      host_(options_, places()) {}
 
 PageHost::Places PageServer::places() {
   constexpr std::string_view kExports = "/export/";
-  PageHost::Places places{
-      {"state", {"GET", [this](const HttpRequest& r) { return get_state(r); }}},
-      {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
-      {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
-      {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
-      {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}},
-      {"export/", {"GET", [this, kExports](const HttpRequest& r) {
-                     return exports_.download(r.path.substr(r.path.find(kExports) + kExports.size()));
-                   }}}};
-  for (const auto& [name, file] : options_.files)
-    places[name] = {"GET", [&file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
-  return places;
+  return {{"state", {"GET", [this](const HttpRequest& r) { return get_state(r); }}},
+          {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
+          {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
+          {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+          {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}},
+          {"export/", {"GET", [this, kExports](const HttpRequest& r) {
+                         return exports_.download(r.path.substr(r.path.find(kExports) + kExports.size()));
+                       }}}};
 }
 
 // Exports change beside the session, so the page follows the sum of both counts.
-HttpResponse PageServer::get_state(const HttpRequest& request) const {
+HttpResponse PageServer::get_state(const HttpRequest& request) {
   std::uint64_t after = query_number(request.query, "after", 0, kMostNumber);
-  const auto end = Clock::now() + std::chrono::milliseconds(options_.longest_poll_ms);
   const std::uint64_t first = options_.first_revision;
   const bool ours = after >= first && after - first <= source_.state()->revision + exports_.changes();
   after = ours ? after - first : 0;  // else: of an earlier life of the server
-  ++waiting_for_news_;
-  const std::unique_ptr<std::atomic<int>, void (*)(std::atomic<int>*)> waits(
-      &waiting_for_news_, [](std::atomic<int>* waiting) { --*waiting; });
-  for (;;) {
+  HttpResponse response;
+  news_.wait(request, after == 0, [&](std::chrono::milliseconds left) {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;
-    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
-    // Those that wait leave half of the responses to the others.
-    const bool at_once = stopping_ || 2 * waiting_for_news_ > options_.http.responses;
-    if (at_once) std::this_thread::sleep_for(kStateLook);  // a page that asks again and again stays calm
-    const bool last = left.count() <= 0 || at_once || after == 0 || request.abandoned();
+    const bool last = left.count() == 0;
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));
-    if (last || state->revision + exported > after)
-      return json_answer(state_json(*state, source_, exports_.list(), options_.run_id, known, first,
-                                    first + state->revision + exported));
-  }
+    const std::uint64_t now = state->revision + exported;
+    if (!last && now <= after) return false;
+    response = json_answer(state_json(*state, source_, exports_.list(), options_.run_id, known, first, first + now));
+    return true;
+  });
+  return response;
 }
 
 void PageServer::check_view(std::uint64_t view) const {
@@ -190,8 +181,7 @@ HttpResponse PageServer::get_photo(const HttpRequest& request) const {
     throw Error(ErrorKind::data, "serve.request.invalid", "request: 'view' is missing", "ask for ?view=0");
   check_view(number);
   const auto view = static_cast<int>(number);
-  const std::vector<std::uint8_t> jpeg = photo_jpeg(source_.photo(view, most), most);
-  HttpResponse response{200, kJpeg, std::string(jpeg.begin(), jpeg.end())};
+  HttpResponse response = jpeg_answer(photo_jpeg(source_.photo(view, most), most));
   // The run may be opened again with another image in the view's place, which then has another address.
   if (query_value(request.query, "photo") == source_.state()->views[static_cast<std::size_t>(view)].photo)
     response.cache = kForEver;
@@ -211,7 +201,7 @@ HttpResponse PageServer::post_picture(const HttpRequest& request) {
   check_view(static_cast<std::uint64_t>(wanted.view));
   Picture picture = source_.picture(wanted, [&] { return request.abandoned(); });
   picture.overlay_revision += options_.first_revision;
-  return {200, "application/octet-stream", picture_bytes(picture, source_.state()->classes)};
+  return bytes_answer(picture_bytes(picture, source_.state()->classes));
 }
 
 HttpResponse PageServer::post_export(const HttpRequest& request) {
@@ -289,6 +279,21 @@ std::string error_json(Code code, const std::string& message, const std::string&
 
 HttpResponse json_answer(const Json& json) { return {200, "application/json", json_text(json)}; }
 
+HttpResponse bytes_answer(std::string bytes) { return {200, "application/octet-stream", std::move(bytes)}; }
+
+std::string joined_parts(std::initializer_list<std::string_view> parts) {
+  std::string out;
+  for (const std::string_view part : parts) {
+    for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>((part.size() >> shift) & 0xFF);
+    out += part;
+  }
+  return out;
+}
+
+HttpResponse jpeg_answer(const std::vector<std::uint8_t>& jpeg) {
+  return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
+}
+
 HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept {
   try {
     try {
@@ -304,33 +309,43 @@ HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept {
   }
 }
 
-HttpResponse wrong_method(const char* allowed) {
-  HttpResponse wrong{405, "application/json",
-                     error_json("serve.request.method", "this address takes another method", "")};
-  wrong.allow = allowed;
-  return wrong;
+void News::wait(const HttpRequest& request, bool at_once,
+                const std::function<bool(std::chrono::milliseconds left)>& look) {
+  constexpr std::chrono::milliseconds kNone(0);
+  const auto end = Clock::now() + longest_;
+  ++waiting_;
+  const std::unique_ptr<std::atomic<int>, void (*)(std::atomic<int>*)> waits(
+      &waiting_, [](std::atomic<int>* waiting) { --*waiting; });
+  for (bool found = false; !found;) {
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
+    const bool crowded = ended_ || 2 * waiting_ > responses_;
+    if (crowded) std::this_thread::sleep_for(kStateLook);  // a page that asks again and again stays calm
+    found = look(crowded || at_once || request.abandoned() ? kNone : std::max(left, kNone));
+  }
 }
 
 std::string PageHost::url() const {
-  return fmt::format("http://{}:{}/{}/", address_ == kEveryAddress ? "127.0.0.1" : address_, port_, token_);
+  return fmt::format("http://{}:{}/{}/", options_.http.address == kEveryAddress ? "127.0.0.1" : options_.http.address,
+                     options_.http.port, options_.token);
 }
 
 // Takes the same time for every wrong token, so that none can be found byte by byte.
 bool PageHost::is_token(const std::string& path) const {
-  if (path.size() < token_.size() + 1 || path[0] != '/') return false;
+  if (path.size() < options_.token.size() + 1 || path[0] != '/') return false;
   unsigned differs = 0;
-  for (std::size_t i = 0; i < token_.size(); ++i)
-    differs |= static_cast<unsigned char>(path[i + 1]) ^ static_cast<unsigned char>(token_[i]);
-  return differs == 0 && (path.size() == token_.size() + 1 || path[token_.size() + 1] == '/');
+  for (std::size_t i = 0; i < options_.token.size(); ++i)
+    differs |= static_cast<unsigned char>(path[i + 1]) ^ static_cast<unsigned char>(options_.token[i]);
+  return differs == 0 && (path.size() == options_.token.size() + 1 || path[options_.token.size() + 1] == '/');
 }
 
 // A name of somebody else that is made to point here (DNS rebinding) is no host of ours. A server of every address
 // has many, but all are numbers.
 bool PageHost::is_host(const std::string& host) const {
   const std::size_t colon = host.rfind(':');
-  if (colon == std::string::npos || host.substr(colon + 1) != std::to_string(port_)) return false;
+  if (colon == std::string::npos || host.substr(colon + 1) != std::to_string(options_.http.port)) return false;
   const std::string name = lower_case(host.substr(0, colon));
-  return name == "127.0.0.1" || name == "localhost" || name == address_ || (address_ == kEveryAddress && is_ipv4(name));
+  return name == "127.0.0.1" || name == "localhost" || name == options_.http.address ||
+         (options_.http.address == kEveryAddress && is_ipv4(name));
 }
 
 std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) const {
@@ -340,7 +355,7 @@ std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) const {
     return forbidden(
         fmt::format("the page is at {}:{} alone; a tunnel has to lead there from the same port (ssh -L "
                     "{}:127.0.0.1:{} ...)",
-                    address_, port_, port_, port_));
+                    options_.http.address, options_.http.port, options_.http.port, options_.http.port));
   if (const auto origin = head.header("origin"); head.method == "POST" && origin && *origin != "http://" + host)
     return forbidden("a page of another origin may not send");
   const std::string site = head.header("sec-fetch-site").value_or("none");
@@ -348,7 +363,7 @@ std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) const {
   const bool opens = head.method == "GET" && head.header("sec-fetch-mode") == "navigate" &&
                      head.header("sec-fetch-dest") == "document";
   if (site != "none" && site != "same-origin" && !opens) return forbidden("a page of another site may not ask");
-  if (head.path.size() == token_.size() + 1) {  // without the folder's slash relative addresses would leave it
+  if (head.path.size() == options_.token.size() + 1) {  // without the folder's slash relative addresses would leave it
     HttpResponse onward{308, "text/plain", ""};
     onward.location = head.path + "/";
     return onward;
@@ -356,26 +371,25 @@ std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) const {
   return std::nullopt;
 }
 
-std::map<std::string, PageFile> read_page_files(const std::string& folder) {
+PageFiles read_page_files(const std::string& index) {
   static const std::map<std::string, std::string> types{{".html", "text/html; charset=utf-8"},
                                                         {".js", "text/javascript; charset=utf-8"},
                                                         {".css", "text/css; charset=utf-8"},
-                                                        {".svg", "image/svg+xml"},
-                                                        {".png", "image/png"},
-                                                        {".ico", "image/x-icon"}};
-  std::map<std::string, PageFile> files;
+                                                        {".svg", "image/svg+xml"}};
+  PageFiles files;
   std::error_code failed;
+  const std::string folder = shared_file("app/serve/page");
   for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
     const auto type = types.find(entry.path().extension().string());
     if (type == types.end() || !entry.is_regular_file(failed)) continue;
     files[entry.path().filename().string()] = {type->second, read_text_file(entry.path().string())};
   }
-  const auto index = files.find("index.html");
-  if (index == files.end())
+  const auto first = files.find(index + ".html");
+  if (first == files.end())
     throw Error(ErrorKind::no_input, "files.shared.missing",
-                folder + ": the page's index.html is not there, which comes with the program",
+                folder + ": the page's " + index + ".html is not there, which comes with the program",
                 "install the component 'app' whole, or run the program from its build folder");
-  files[""] = index->second;
+  files[""] = first->second;
   return files;
 }
 
@@ -418,9 +432,23 @@ std::string kept_run_id(const std::string& run_dir) {
   return id;
 }
 
-PageHost::PageHost(std::string token, HttpOptions http, bool next_port, std::string guide, Places places)
-    : guide_(std::move(guide)), token_(std::move(token)), address_(http.address), places_(std::move(places)) {
-  http.port = port_ = free_port(http.address, http.port, next_port);
+HostOptions host_at(const std::string& address, std::optional<int> port, const std::string& index,
+                    const std::string& guide) {
+  HostOptions options;
+  options.http.address = address;
+  options.http.port = port.value_or(kUsualPort);
+  options.next_port = !port;
+  (void)free_port(address, options.http.port, options.next_port);
+  options.files = read_page_files(index);
+  options.guide = guide;
+  return options;
+}
+
+PageHost::PageHost(HostOptions options, Places places) : options_(std::move(options)), places_(std::move(places)) {
+  for (const auto& [name, file] : options_.files)
+    places_[name] = {"GET", [&file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
+  HttpOptions& http = options_.http;
+  http.port = free_port(http.address, http.port, options_.next_port);
   HttpHandler handler;
   handler.refuse = [this](const HttpRequest& head) {
     std::optional<HttpResponse> refused;
@@ -435,26 +463,24 @@ PageHost::PageHost(std::string token, HttpOptions http, bool next_port, std::str
 }
 
 HttpResponse PageHost::route(const HttpRequest& request) {
-  const std::string name = request.path.substr(token_.size() + 2);  // below the secret folder
+  const std::string name = request.path.substr(options_.token.size() + 2);  // below the secret folder
   auto place = places_.find(name);
   if (const std::size_t slash = name.find('/'); place == places_.end() && slash != std::string::npos)
     place = places_.find(name.substr(0, slash + 1));
   if (place == places_.end())
     return {404, "application/json",
-            error_json("serve.address.unknown", "nothing is at this address", "see " + guide_)};
-  return request.method == place->second.method ? place->second.answer(request) : wrong_method(place->second.method);
+            error_json("serve.address.unknown", "nothing is at this address", "see " + options_.guide)};
+  if (request.method == place->second.method) return place->second.answer(request);
+  HttpResponse wrong{405, "application/json",
+                     error_json("serve.request.method", "this address takes another method", "")};
+  wrong.allow = place->second.method;
+  return wrong;
 }
 
 namespace {
 
 constexpr int kQuick = 1;                                         // zlib's level: a picture is sent once
 constexpr std::array<std::uint8_t, 3> kUnnamed{{128, 128, 128}};  // a class that the state does not list yet
-
-void put_part(std::string& out, std::string_view part) {
-  const auto size = static_cast<std::uint32_t>(part.size());
-  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>((size >> shift) & 0xFF);
-  out += part;
-}
 
 std::string_view text_of(const std::vector<std::uint8_t>& bytes) {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
@@ -489,13 +515,11 @@ std::string picture_bytes(const Picture& picture, const std::vector<ClassState>&
       {"width", picture.width_px},      {"height", picture.height_px}, {"overlay_revision", picture.overlay_revision},
       {"render_ms", picture.render_ms}, {"stale", picture.stale},      {"marks", list(picture.seen, seen_json)}};
   const std::int32_t w = picture.width_px, h = picture.height_px;
-  std::string out;
-  put_part(out, facts.dump());
-  put_part(out, picture.rgb.empty() ? std::string_view() : text_of(encode_jpeg(w, h, picture.rgb)));
-  put_part(out, picture.label.empty() ? std::string_view() : text_of(label_png(w, h, picture.label, classes)));
-  put_part(out,
-           picture.entropy.empty() ? std::string_view() : text_of(encode_png(w, h, 0, 8, picture.entropy, {}, kQuick)));
-  return out;
+  using Bytes = std::vector<std::uint8_t>;
+  const Bytes color = picture.rgb.empty() ? Bytes() : encode_jpeg(w, h, picture.rgb);
+  const Bytes labels = picture.label.empty() ? Bytes() : label_png(w, h, picture.label, classes);
+  const Bytes entropy = picture.entropy.empty() ? Bytes() : encode_png(w, h, 0, 8, picture.entropy, {}, kQuick);
+  return joined_parts({facts.dump(), text_of(color), text_of(labels), text_of(entropy)});
 }
 
 std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px) {

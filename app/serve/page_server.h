@@ -2,11 +2,14 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <functional>
+#include <initializer_list>
 #include <map>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/json_output.h"
@@ -33,9 +36,11 @@ struct PageFile {
   std::string bytes;
 };
 
-/// Files of `folder` by name: scripts, styles, pages and pictures; "" is index.html. Throws Error(no_input) where the
-/// folder or its index.html is missing.
-std::map<std::string, PageFile> read_page_files(const std::string& folder);
+using PageFiles = std::map<std::string, PageFile>;
+
+/// The shipped files of the pages by name: scripts, styles, pages and pictures; "" is `index`.html. Throws
+/// Error(no_input) where they are missing.
+PageFiles read_page_files(const std::string& index);
 
 // A run's id: by it a browser keeps what it has not sent yet, so that nothing enters another run.
 
@@ -50,11 +55,46 @@ std::string kept_run_id(const std::string& run_dir);
 std::string error_json(Code code, const std::string& message, const std::string& remedy);
 /// Texts of files and folders may be no UTF-8; numbers that are none become null.
 HttpResponse json_answer(const Json& json);
+HttpResponse bytes_answer(std::string bytes);
+/// Parts of an answer, each behind its length in four bytes, little-endian.
+std::string joined_parts(std::initializer_list<std::string_view> parts);
+HttpResponse jpeg_answer(const std::vector<std::uint8_t>& jpeg);
 /// What `answer` returns, or what it throws as such a response: what the client did wrong is 400; what could not be
 /// kept or made now is 503.
 HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept;
-/// 405 at an address that takes another method.
-HttpResponse wrong_method(const char* allowed);
+
+/// Requests for news, each of which waits until there is some.
+class News : NonCopyable {
+ public:
+  /// `longest_ms`: how long one waits; those that wait leave half of the `responses` to the others.
+  explicit News(int longest_ms = 20000, int responses = HttpOptions().responses)
+      : longest_(longest_ms), responses_(responses) {}
+
+  /// Returns when `look` has found news. `look` waits for them, for `left` at most, and returns whether there are some;
+  /// where `left` is 0, at the latest when the time is over, it takes what there is. `at_once`: so at its first call.
+  void wait(const HttpRequest& request, bool at_once, const std::function<bool(std::chrono::milliseconds left)>& look);
+  /// Requests no longer wait: the session ends.
+  void end() { ended_ = true; }
+
+ private:
+  std::chrono::milliseconds longest_;
+  int responses_;
+  std::atomic<bool> ended_{false};
+  std::atomic<int> waiting_{0};
+};
+
+struct HostOptions {
+  HttpOptions http;
+  bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
+  std::string token;       ///< new_token()
+  PageFiles files;
+  std::string guide;  ///< the page of the documents that describes the places
+};
+
+/// A host at `address` and `port`, without one at the usual port or the next that is free, whose page is `index`.html;
+/// made before anything that takes time. Throws as free_port and read_page_files do.
+HostOptions host_at(const std::string& address, std::optional<int> port, const std::string& index,
+                    const std::string& guide);
 
 /// What the labelling page and the viewer have in common: an address with a secret, and the places below it.
 class PageHost : NonCopyable {
@@ -66,13 +106,12 @@ class PageHost : NonCopyable {
   /// By their names below the secret folder; one that ends in '/' is of all that lies below it.
   using Places = std::map<std::string, Place>;
 
-  /// Serves `places`, which `guide` describes, when it returns; `next_port`: when the port is taken, one of the 99
-  /// behind it. Throws as free_port does.
-  PageHost(std::string token, HttpOptions http, bool next_port, std::string guide, Places places);
+  /// Serves the files and `places` when it returns. Throws as free_port does.
+  PageHost(HostOptions options, Places places);
 
   /// The address to open, with the token.
   std::string url() const;
-  int port() const { return port_; }
+  int port() const { return options_.http.port; }
 
  private:
   // None: the request may go on. A wrong token gives 404 without a detail; what follows is for whoever knows the token.
@@ -81,8 +120,7 @@ class PageHost : NonCopyable {
   bool is_host(const std::string& host) const;
   HttpResponse route(const HttpRequest& request);
 
-  std::string guide_, token_, address_;  // address and port: what the server is bound to
-  int port_ = 0;
+  HostOptions options_;  // its address and port: what the server is bound to
   Places places_;
   std::optional<HttpServer> http_;
 };
@@ -92,14 +130,10 @@ class PageHost : NonCopyable {
 /// Milliseconds since 1970.
 std::int64_t now_ms();
 
-struct PageOptions {
-  HttpOptions http;
-  bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
-  ExportOptions exports;
-  std::map<std::string, PageFile> files;
+struct PageOptions : HostOptions {
+  ExportOptions exports{};
   std::uint64_t first_revision = 0;  ///< added to every revision; above all of an earlier server of the run
-  std::string token;                 ///< new_token()
-  std::string run_id;                ///< kept_run_id()
+  std::string run_id{};              ///< kept_run_id()
   int longest_poll_ms = 20000;       ///< how long a request for news waits
 };
 
@@ -114,10 +148,10 @@ class PageServer : NonCopyable {
   int port() const { return host_.port(); }
 
   /// Requests for news no longer wait: the session ends.
-  void end_waiting() { stopping_ = true; }
+  void end_waiting() { news_.end(); }
 
  private:
-  HttpResponse get_state(const HttpRequest& request) const;
+  HttpResponse get_state(const HttpRequest& request);
   HttpResponse get_photo(const HttpRequest& request) const;
   HttpResponse post_event(const HttpRequest& request);
   HttpResponse post_picture(const HttpRequest& request);
@@ -128,8 +162,7 @@ class PageServer : NonCopyable {
   LabelSource& source_;
   PageOptions options_;
   PageExports exports_;
-  std::atomic<bool> stopping_{false};
-  mutable std::atomic<int> waiting_for_news_{0};
+  News news_;
   PageHost host_;  // last: it answers by all of these
 };
 
@@ -141,8 +174,8 @@ inline constexpr int kMostPageClasses = 255;  ///< a palette has an entry for ea
 std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
                                     const std::vector<ClassState>& classes);
 
-/// The response to a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
-/// its length in four bytes, little-endian; 0 for one that there is not.
+/// The response to a request for a picture, as joined_parts: JSON of its facts, then JPEG, PNG of labels and PNG of
+/// entropy, which are empty where there is none.
 std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes);
 
 /// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.

@@ -28,14 +28,9 @@ namespace semfield::app {
 
 namespace {
 
-struct ServeOptions : Options {
-  explicit ServeOptions(const Declaration& at) : Options(at) { device(set); }
+struct ServeOptions : PageVerbOptions {
+  explicit ServeOptions(const Declaration& at) : PageVerbOptions(at) { device(set); }
   const std::string& what = operand("config_or_run", "configuration file, or a run folder to continue");
-  const std::optional<int>& port = value_in<std::optional<int>>(
-      "--port N", {}, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
-  const std::string& address =
-      value("--address ADDRESS", "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network",
-            "127.0.0.1");
   const std::string& out = value("--out FOLDER", "run folder to create (default: runs/<name>)");
   std::vector<std::string>& set = run_settings();
 };
@@ -84,17 +79,6 @@ Target target_of(const ServeOptions& options, const AppContext& context, Registr
   return target;
 }
 
-PageOptions page_options(const ServeOptions& options, const AppContext& context, const std::string& run_dir) {
-  PageOptions page;
-  page.http.address = options.address;
-  page.http.port = options.port.value_or(kUsualPort);
-  page.next_port = !options.port;
-  page.files = read_page_files(shared_file("app/serve/page"));
-  page.first_revision = static_cast<std::uint64_t>(now_ms());
-  page.exports = {own_program(), run_dir, context.registry.module_files()};
-  return page;
-}
-
 // Does what signals request while the main thread trains.
 class SignalWatch : NonCopyable {
  public:
@@ -126,8 +110,9 @@ class SignalWatch : NonCopyable {
 };
 
 int run(const ServeOptions& options, AppContext& context) {
-  PageOptions page = page_options(options, context, "");
-  (void)free_port(options.address, page.http.port, page.next_port);  // before anything that takes time
+  PageOptions page{host_at(options.address, options.port, "index", "docs/reference/labelling_http.md")};
+  page.first_revision = static_cast<std::uint64_t>(now_ms());
+  page.exports = {own_program(), "", context.registry.module_files()};
   Target target = target_of(options, context, context.registry);
   context.adopt(target.config);
   install_stop_signals(!context.quiet);

@@ -40,14 +40,9 @@ namespace semfield::app {
 
 namespace {
 
-struct ViewVerbOptions : Options {
-  using Options::Options;
+struct ViewVerbOptions : PageVerbOptions {
+  using PageVerbOptions::PageVerbOptions;
   const std::string& run = operand("run", "run folder");
-  const std::optional<int>& port = value_in<std::optional<int>>(
-      "--port N", {}, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
-  const std::string& address =
-      value("--address ADDRESS", "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network",
-            "127.0.0.1");
   const std::vector<std::string>& set = run_settings();
 };
 
@@ -59,13 +54,14 @@ constexpr long long kCoarseCells = 64, kFineCells = 256;
 constexpr std::int64_t kCoarseRays = 120'000, kFineRays = 3'000'000;
 constexpr std::int64_t kBandRays = 16'384;  // between two looks at whether anybody still waits
 constexpr int kQuality = 90;
+constexpr std::array kMaps{"photo", "class", "object", "entropy", "depth"};
 
 // What a picture shows: one of the page's modes.
 struct ViewPicture {
   FreeCamera camera;
   std::int32_t width_px = 0, height_px = 0;
-  std::string map;               // photo, class, object, entropy or depth
-  double near_m = 0, far_m = 1;  // of depth's colours
+  std::string map;                       // of kMaps
+  std::array<double, 2> depths_m{0, 1};  // nearest and farthest, of depth's colours
 };
 
 // A run that somebody looks at. Every call may come from any thread. The field works for one at a time: pictures and
@@ -87,7 +83,6 @@ class ViewedRun {
     show_objects(objects_.look());
   }
 
-  std::string name() const { return page_.run; }
   // Step of the newest checkpoint in the folder.
   std::int64_t newest_step() const {
     const std::vector<CheckpointStore::Entry> all =
@@ -95,8 +90,8 @@ class ViewedRun {
     return all.empty() ? run_.step : all.front().step;
   }
 
-  // scene_bytes of a coarse mesh, which is there soon, or of one as `semfield mesh` makes it. A field without a surface
-  // gives an empty mesh, and says so among the lines of the page.
+  // The parts of a scene with a coarse mesh, which is there soon, or with one as `semfield mesh` makes it. A field
+  // without a surface gives an empty mesh, and says so among the lines of the page.
   std::string scene(bool fine) {
     const std::shared_ptr<const RunSurface> made = surface(fine);
     const std::scoped_lock lock(page_lock_);
@@ -105,8 +100,9 @@ class ViewedRun {
     const std::size_t edits = now == nullptr ? 0 : now->edits.edits.size();
     ScenePage page = page_;
     if (made->surface.triangles.empty()) page.about.push_back(trouble_ + ": the field is seen when the camera rests.");
-    return scene_bytes(made->surface, run_.session.scene.info.classes, page,
-                       json_text({{"fine", fine}, {"edits", edits}, {"state", shown_}}));
+    const auto [facts, mesh] = scene_parts(made->surface, run_.session.scene.info.classes, page,
+                                           {{"fine", fine}, {"edits", edits}, {"state", shown_}});
+    return joined_parts({facts, mesh});
   }
 
   // JPEG. Empty once `abandoned`. Throws Error(data) for maps that the run lacks.
@@ -135,8 +131,8 @@ class ViewedRun {
     return encode_jpeg(wanted.width_px, wanted.height_px, rgb, kQuality);
   }
 
-  // {"classes": [{"name", "probability"}, ...] the most probable first, "object": name or null} as JSON.
-  std::string point(Vec3d place) {
+  // {"classes": [{"name", "probability"}, ...] the most probable first, "object": name or null}.
+  Json point(Vec3d place) {
     const Session& s = run_.session;
     FieldPoints at;
     {
@@ -154,28 +150,28 @@ class ViewedRun {
     Json out{{"classes", classes}, {"object", nullptr}};
     if (!at.entropy.empty()) out["entropy"] = at.entropy[0];
     const std::scoped_lock lock(page_lock_);
-    if (!page_.objects) return json_text(out);
+    if (!page_.objects) return out;
     const std::int32_t id = page_.objects->at(place);
     if (id > 0)
       out["object"] = object_name(page_.objects->rows[static_cast<std::size_t>(id) - 1], s.scene.info.classes);
-    return json_text(out);
+    return out;
   }
 
   // Applies and keeps an edit of the objects that have the state `made_on`; none: takes the last one back. {"objects",
-  // "ids", "edits", "state", "said"} as JSON, ids as base64 of 16 bits for every vertex. Throws as ObjectFolder::edit;
+  // "ids", "edits", "state", "said"}, ids as base64 of 16 bits for every vertex. Throws as ObjectFolder::edit;
   // nothing has changed then.
-  std::string edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine) {
+  Json edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine) {
     const std::shared_ptr<const RunSurface> made = surface(fine);
     const std::scoped_lock lock(page_lock_);
     const EditedObjects& now = objects_.edit(edit, made_on);
     show_objects(&now);
     const std::vector<std::uint16_t> ids = vertex_objects(made->surface, now.set);
     const std::span<const std::uint8_t> bytes(reinterpret_cast<const std::uint8_t*>(ids.data()), 2 * ids.size());
-    return json_text({{"objects", Json::parse(page_objects_json(now.set, run_.session.scene.info.classes))},
-                      {"ids", base64(bytes)},
-                      {"edits", now.edits.edits.size()},
-                      {"state", shown_},
-                      {"said", edit ? "Saved." : "The last edit is taken back."}});
+    return {{"objects", page_objects(now.set, run_.session.scene.info.classes)},
+            {"ids", base64(bytes)},
+            {"edits", now.edits.edits.size()},
+            {"state", shown_},
+            {"said", edit ? "Saved." : "The last edit is taken back."}};
   }
 
  private:
@@ -250,7 +246,7 @@ class ViewedRun {
     const auto add = [&](const std::vector<std::uint8_t>& part) { rgb.insert(rgb.end(), part.begin(), part.end()); };
     const std::size_t pixels = frame.opacity.size();
     if (wanted.map == "photo") return add(to_bytes(frame.rgb));
-    if (wanted.map == "depth") return add(depth_colors(frame.depth_m, wanted.near_m, wanted.far_m));
+    if (wanted.map == "depth") return add(depth_colors(frame.depth_m, wanted.depths_m[0], wanted.depths_m[1]));
     if (wanted.map == "entropy")
       return add(entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size())));
     // Classes and objects keep the light of the picture, so that a form is seen.
@@ -292,83 +288,70 @@ class ViewedRun {
   std::array<std::shared_ptr<const RunSurface>, 2> surface_;  // coarse, fine
 };
 
-HttpResponse json_text_answer(std::string text) { return {200, "application/json", std::move(text)}; }
-HttpResponse bytes(std::string data) { return {200, "application/octet-stream", std::move(data)}; }
-
-double real_in(const Json& root, const char* key, double low, double high) {
-  const auto found = root.find(key);
-  if (found == root.end() || !found->is_number() || !(found->get<double>() >= low && found->get<double>() <= high))
-    kRequest.refuse(fmt::format("'{}': expected a number from {:g} to {:g}", key, low, high));
-  return found->get<double>();
-}
-
-std::string word_in(const Json& root, const char* key) {
-  const auto found = root.find(key);
-  if (found == root.end() || !found->is_string()) kRequest.refuse(std::string("'") + key + "': expected a word");
-  return found->get<std::string>();
-}
-
-bool is_fine(const HttpRequest& request) { return query_number(request.query, "fine", 0, 1) == 1; }
-
 HttpResponse picture_of(ViewedRun& run, const HttpRequest& request) {
-  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "near", "far"});
+  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "depths"});
   ViewPicture wanted;
   wanted.camera = read_request_camera(kRequest.at(root, "camera"));
   wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
   wanted.height_px = request_number(root, "height", 1, kMostPictureSide);
-  wanted.map = word_in(root, "map");
-  const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth"};
-  if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
-    kRequest.refuse_value("map", "photo, class, object, entropy or depth", root["map"]);
-  if (wanted.map == "depth") {
-    wanted.near_m = real_in(root, "near", 0, 1e9);
-    wanted.far_m = real_in(root, "far", 0, 1e9);
-  }
-  const std::vector<std::uint8_t> jpeg = run.picture(wanted, [&] { return request.abandoned(); });
-  return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
+  const Json& map = kRequest.at(root, "map");
+  if (std::find(kMaps.begin(), kMaps.end(), map) == kMaps.end())
+    kRequest.refuse_value("map", "photo, class, object, entropy or depth", map);
+  wanted.map = map.get<std::string>();
+  if (wanted.map == "depth") wanted.depths_m = request_numbers<2>(root, "depths", 1e9);
+  return jpeg_answer(run.picture(wanted, [&] { return request.abandoned(); }));
 }
 
 HttpResponse edit_of(ViewedRun& run, const HttpRequest& request) {
   Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
   bool fine = false;
   kRequest.flag(root, "fine", fine);
-  const std::string made_on = word_in(root, "made_on");
+  const Json made_on = kRequest.at(root, "made_on");
+  if (!made_on.is_string()) kRequest.refuse_value("made_on", "a word", made_on);
   root.erase("fine");
   root.erase("made_on");
-  if (word_in(root, "do") == "undo") return json_text_answer(run.edit(std::nullopt, made_on, fine));
-  return json_text_answer(run.edit(parse_object_edit(root.dump(), "request"), made_on, fine));
+  std::optional<ObjectEdit> edit;
+  if (kRequest.at(root, "do") != "undo") edit = parse_object_edit(root.dump(), "request");
+  return json_answer(run.edit(edit, made_on.get<std::string>(), fine));
+}
+
+// The newest step, once it is another than the page knows; `after`: the revision of the answer before.
+HttpResponse state_of(ViewedRun& run, News& news, const HttpRequest& request) {
+  constexpr std::chrono::milliseconds kLook(1000);  // into the run's folder
+  constexpr std::uint64_t kMostSteps = std::uint64_t{1} << 53;
+  const std::uint64_t after = query_number(request.query, "after", 0, kMostSteps);
+  std::int64_t newest = 0;
+  news.wait(request, after == 0, [&](std::chrono::milliseconds left) {
+    std::this_thread::sleep_for(std::min(kLook, left));
+    newest = run.newest_step();
+    return left.count() == 0 || static_cast<std::uint64_t>(newest) + 1 != after;
+  });
+  return json_answer({{"revision", newest + 1}, {"newest", newest}});
+}
+
+HttpResponse point_of(ViewedRun& run, const HttpRequest& request) {
+  const auto [x, y, z] = request_numbers<3>(parse_request(request.body, {"at"}), "at", 1e9);
+  return json_answer(run.point({x, y, z}));
 }
 
 // The places of the page of a run, which must outlive whoever answers by them.
-PageHost::Places places_of(ViewedRun& run) {
-  HttpResponse page{200, "text/html; charset=utf-8", live_page_text(run.name())};
-  page.own_code = true;
-  return {{"", {"GET", [page](const HttpRequest&) { return page; }}},
-          {"surface", {"GET", [&run](const HttpRequest& r) { return bytes(run.scene(is_fine(r))); }}},
-          {"state",
+PageHost::Places places_of(ViewedRun& run, News& news) {
+  return {{"surface",
            {"GET",
-            [&run](const HttpRequest&) {
-              return json_answer({{"newest", run.newest_step()}});
-            }}},
-          {"picture", {"POST", [&run](const HttpRequest& r) { return picture_of(run, r); }}},
-          {"point",
-           {"POST",
-            [&run](const HttpRequest& r) {
-              const Json root = parse_request(r.body, {"at"});
-              const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
-              return json_text_answer(run.point({at[0], at[1], at[2]}));
-            }}},
-          {"edit", {"POST", [&run](const HttpRequest& r) { return edit_of(run, r); }}}};
+            [&](const HttpRequest& r) { return bytes_answer(run.scene(query_number(r.query, "fine", 0, 1) == 1)); }}},
+          {"state", {"GET", [&](const HttpRequest& r) { return state_of(run, news, r); }}},
+          {"picture", {"POST", [&](const HttpRequest& r) { return picture_of(run, r); }}},
+          {"point", {"POST", [&](const HttpRequest& r) { return point_of(run, r); }}},
+          {"edit", {"POST", [&](const HttpRequest& r) { return edit_of(run, r); }}}};
 }
 
 int run(const ViewVerbOptions& options, AppContext& context) {
-  HttpOptions http;
-  http.address = options.address;
-  http.port = options.port.value_or(kUsualPort);
-  (void)free_port(http.address, http.port, !options.port);  // before anything that takes time
+  HostOptions host = host_at(options.address, options.port, "view", "docs/guide/viewing.md");
+  host.token = new_token();
   install_stop_signals(!context.quiet);
   ViewedRun viewed(run_of(options.run, options.set, OpenFor::rendering, context));
-  const PageHost server(new_token(), http, !options.port, "docs/guide/viewing.md", places_of(viewed));
+  News news;
+  const PageHost server(std::move(host), places_of(viewed, news));
   // While the browser loads the page. What fails here fails for the page too, which says why.
   const std::jthread mesh([&viewed] {
     try {
@@ -379,6 +362,7 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   });
   print_results(context, {{"run", options.run}, {"url", server.url()}}, "view: open " + server.url() + " in a browser");
   while (stop_signal() == 0) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  news.end();
   print_next(context, next_of_run(options.run, false));
   return 128 + stop_signal();
 }

@@ -17,18 +17,16 @@ import other_programs  # noqa: E402
 NPM_PACKAGES = ("gltf-validator@2.0.0-dev.3.10", "copc@0.0.8")
 EDGE, TOP = 1.24, (3.72, 2.5, 0.745)  # metres; a place on the table's top, off the lamp above the middle
 COLORS = """
-    const canvas = document.getElementById("view"), small = document.createElement("canvas").getContext("2d");
+    const canvas = document.getElementById("canvas"), small = document.createElement("canvas").getContext("2d");
     small.drawImage(canvas, 0, 0, 64, 48);
     return new Set(new Uint32Array(small.getImageData(0, 0, 64, 48).data.buffer)).size;"""
 MEASURE = """
     const [top, edge, side] = arguments, page = semfield;
     Object.assign(page.camera, {yaw: 0, pitch: 1.45});
-    page.camera.look_at(top, 0.6 * edge);
+    page.camera.lookAt(top, 0.6 * edge);
     page.camera.reach = 2.2;
-    const clip = page.camera.matrices().clip;
     const at = (x) => {
-      const p = moved(clip, [x, top[1], top[2]]);
-      const found = page.read((p[0] + 1) / 2 * canvas.clientWidth, (1 - p[1]) / 2 * canvas.clientHeight);
+      const found = page.read(...page.camera.toScreen([x, top[1], top[2]]));
       if (found === null || page.facts.classes[found.label]?.name !== "table") return null;
       return Math.abs(found.place[2] - top[2]) < 0.04 ? found.place : null;
     };
@@ -88,7 +86,7 @@ needs chromium and chromium-driver."""
         window.wait("document.body.dataset.state === 'ready'", "no picture", 60)
         inputs = []
         for mode in modes.split(","):
-            data = window.run("semfield.set_mode(arguments[0]); semfield.draw(); return canvas.toDataURL();", mode)
+            data = window.run("semfield.set(semfield, {mode: arguments[0]}); semfield.draw(); return semfield.canvas.toDataURL();", mode)
             inputs += ["-i", folder / f"{mode}.png"]
             inputs[-1].write_bytes(base64.b64decode(data.partition(",")[2]))
         joined = ["-filter_complex", f"hstack=inputs={len(inputs) // 2}"] if len(inputs) > 2 else []

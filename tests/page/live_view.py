@@ -11,9 +11,9 @@ def choose_an_object(page):
     """Chooses one by a click into the picture; its row."""
     page.run("document.getElementById('outside').click()")
     place = page.run("""
-        const clip = semfield.camera.matrices().clip;
+        const {canvas, camera} = semfield;
         for (const row of semfield.objects.rows) for (const aside of [0, 12, -12, 24, -24, 36]) {  // the panel may lie over its middle
-          const p = moved(clip, row.box.center), x = Math.round((p[0] + 1) / 2 * canvas.clientWidth) + aside, y = Math.round((1 - p[1]) / 2 * canvas.clientHeight);
+          const [px, py] = camera.toScreen(row.box.center), x = Math.round(px) + aside, y = Math.round(py);
           if (document.elementFromPoint(x, y) !== canvas) continue;
           const found = semfield.read(x, y);
           if (found !== null && found.object > 0) return [x, y, found.object];
@@ -71,7 +71,7 @@ def edit_objects(page, run):
     page.run("""
         const ask = fetch;
         window.fetch = (what, how) => {
-          if (what !== "edit") return ask(what, how);
+          if (what !== "./edit") return ask(what, how);
           window.fetch = ask;
           return new Promise((later) => { window.answer = later; }).then(() => ask(what, how));
         };
@@ -98,11 +98,11 @@ def edit_objects(page, run):
     page.run("""
         const row = semfield.objects.row(arguments[0]), {center, axes, size} = row.box;
         semfield.objects.choose(row.id);
-        semfield.points = [-1, 1].map((side) => ({place: add(center, axes[1], side * size[1]), object: row.id}));
+        semfield.points = [-1, 1].map((side) => ({place: center.map((v, i) => v + side * size[1] * axes[1][i]), object: row.id}));
         document.getElementById('plane').disabled = false;
         document.getElementById('plane').click();""", row["id"])
     page.wait(f"semfield.objects.rows.length === {count + 1}", "a cut leaves one more")
-    plane, eye = edits_of(run)[1]["plane"], page.run("return semfield.camera.world_from_camera().map((line) => line[3])")
+    plane, eye = edits_of(run)[1]["plane"], page.run("return semfield.camera.place")
     assert len(plane) == 3 and max(abs(a - b) for a, b in zip(plane[2], eye)) < 1e-9, (plane, eye)
     page.run("document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
     page.wait(f"semfield.objects.rows.length === {count}", "undo joins the parts")
@@ -114,7 +114,7 @@ def edit_objects(page, run):
         assert status == 400, (wrong, status)
         assert edits_of(run) == kept and table_of(run) == shown, wrong
     page.run("semfield.facts.state = '0'; document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
-    page.wait("document.getElementById('edit-hint').textContent.includes('load the page again')", "a stale edit is not told")
+    page.wait("document.getElementById('edit-hint').textContent.includes('Load the page again')", "a stale edit is not told")
     assert edits_of(run) == kept
     # A class that is hidden is neither drawn nor read.
     page.run("document.querySelector('#things details input[type=checkbox]').click()")
@@ -130,7 +130,7 @@ def look(driver, program, run):
         page.wait("document.body.dataset.state === 'ready'", "the page does not start", 60)
         page.wait("document.body.dataset.mesh === 'fine'", "no fine mesh", 240)
         page.run("document.getElementById('inside').click()")
-        page.wait("document.body.dataset.still === String(canvas.width)", "the field is not rendered", 240)
+        page.wait("document.body.dataset.still === String(semfield.canvas.width)", "the field is not rendered", 240)
         told = page.run("return semfield.picture().then((blob) => createImageBitmap(blob)).then((image) => [image.width, image.height])")
         assert told == [640, 360], told
         # The mesh and the picture of the field show the same: both axes of the camera agree.
@@ -142,7 +142,7 @@ def look(driver, program, run):
               return [...context.getImageData(0, 0, 32, 18).data];
             };
             const field = flat(still), way = (other) => other.reduce((sum, v, i) => sum + Math.abs(v - field[i]), 0) / other.length;
-            return [way(flat(canvas)), way(flat(canvas, true))];""")
+            return [way(flat(semfield.canvas)), way(flat(semfield.canvas, true))];""")
         assert differs[0] < 0.8 * differs[1], f"the mesh is not where the field is: {differs}"
         for mode in ("class", "object", "entropy", "depth"):
             page.run("document.getElementById(arguments[0]).click()", mode)
@@ -155,14 +155,14 @@ def look(driver, program, run):
         assert seen is not None, "the mesh is seen nowhere"
         page.mouse(seen)
         page.wait("semfield.points.length === 1 && semfield.points[0].told !== undefined", "a point does not say what it is")
-        assert re.match(r".* [01]\.[0-9]{2}.* at -?[0-9.]+, ", page.text("#reading")), page.text("#reading")
+        assert re.match(r".* [01]\.[0-9]{2}.* at -?[0-9.]+, ", page.text("#readout")), page.text("#readout")
         edit_objects(page, run)
         page.run("semfield.views = [semfield.camera.state()]; semfield.camera.turn(40, 0); semfield.views.push(semfield.camera.state())")
-        lines = page.run("return semfield.path_text()").split("\n")[:-1]
+        lines = page.run("return semfield.pathText()").split("\n")[:-1]
         assert len(lines) == 49 and all(len(line.split()) == 12 for line in lines), len(lines)
         pathlib.Path(run).parent.joinpath("path.txt").write_text("\n".join(lines[:2]) + "\n")
         page.size(390, 844)
-        page.wait("canvas.clientWidth === 390")
+        page.wait("semfield.canvas.clientWidth === 390")
         assert page.run("return document.documentElement.scrollWidth") <= 390
         assert page.complaints() == [], page.complaints()
     after = {file: file.stat().st_mtime_ns for file in before if file.exists()}

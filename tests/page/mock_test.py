@@ -114,7 +114,7 @@ class PageTest(MockPageCase):
 
         page.keys("home", "e")
         page.wait("!document.getElementById('legend').hidden")
-        yellow = page.run("return import('./dom.js').then(({kEntropyColors}) => [kEntropyColors[40], kEntropyColors[220]])")
+        yellow = page.run("return import('./dom.js').then(({kRamp}) => [kRamp[40], kRamp[220]])")
         wall = self.pixel_of(0, 2)
         self.wait_pixel(page, *far, self.mixed(0, *far, yellow[0]), "no entropy of what is known")
         self.wait_pixel(page, *wall, self.mixed(0, *wall, yellow[1]), "no entropy of what is unknown")

@@ -1,13 +1,16 @@
 // Unit tests of the page's modules, run inside the page: the body of a function that returns a list of what is wrong.
-return Promise.all(['model', 'canvas', 'dom', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
-.then(([model, viewport, colors, api, pictures]) => {
+return Promise.all(['model', 'camera', 'dom', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
+.then(([model, cameras, colors, api, pictures]) => {
   const wrong = [];
   const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };
-  const image = {width: 100, height: 50}, screen = {width: 400, height: 400};
-  const port = viewport.zoomed(viewport.fitted(image, screen), 3, 150, 200, image, screen);
-  const fit = viewport.fitted(image, screen);
-  is(viewport.toImage(port, 150, 200).map((v) => v.toFixed(6)), viewport.toImage(fit, 150, 200).map((v) => v.toFixed(6)), 'zoom keeps the point');
-  is(viewport.zoomed(port, 0.01, 0, 0, image, screen), fit, 'never smaller than fitted');
+  const camera = new cameras.PictureCamera();
+  camera.resize({width: 400, height: 400, ratio: 1});
+  camera.setImage(100, 50);
+  const fit = camera.port;
+  camera.zoom(3, 150, 200);
+  is(cameras.toImage(camera.port, 150, 200).map((v) => v.toFixed(6)), cameras.toImage(fit, 150, 200).map((v) => v.toFixed(6)), 'zoom keeps the point');
+  camera.zoom(0.01, 0, 0);
+  is(camera.port, fit, 'never smaller than fitted');
   is(model.strokeParts([[0, 0], [0.2, 0], [5, 0.004], [5.1, 0]], 1), [[[0, 0], [5, 0], [5.1, 0]]], 'a stroke is thinned');
   const parts = model.strokeParts(Array.from({length: 10}, (_, i) => [i * 2, 0]), 1, 4);
   is(parts.map((part) => part.length), [4, 4, 4], 'a long stroke has parts');
@@ -55,7 +58,7 @@ return Promise.all(['model', 'canvas', 'dom', 'api', 'pictures'].map((name) => i
   for (let i = 0; i < 40; ++i) used.push(colors.freeColor(used));
   is(new Set(used.map(String)).size, 40, 'forty classes have forty colours');
   const sizes = new Uint8Array([2, 0, 0, 0, 123, 125, 1, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0, 0]);
-  is([...api.pictureParts(sizes.buffer).color], [9], 'parts of a picture');
+  is(api.answerParts(sizes.buffer).map((part) => [...part]), [[123, 125], [9], [], []], 'parts of a picture');
   const births = new model.MarkBirths();
   births.see({overlay: {events: 1}, events: 2, marks: [{id: 'x'}]}, true);
   births.see({overlay: {events: 1}, events: 3, marks: [{id: 'x'}, {id: 'y'}]}, false);

@@ -128,27 +128,27 @@ def look(driver, path, page):
     view.mouse(middle)
     view.wait("semfield.points.length === 1", "a click reads a point")
     view.mouse((middle[0] + 60, middle[1] + 20))
-    view.wait("!document.getElementById('reading').hidden && document.getElementById('reading').textContent.includes('distance')", "two measure")
+    view.wait("document.getElementById('readout').textContent.includes('distance')", "two measure")
     first, second = (point["place"] for point in view.run("return semfield.points"))
-    told = float(re.search(r"distance ([0-9.]+) m", view.text("#reading")).group(1))
+    told = float(re.search(r"distance ([0-9.]+) m", view.text("#readout")).group(1))
     assert abs(told - math.dist(first, second)) < 0.001, (told, first, second)
     view.mouse((middle[0] - 60, middle[1]))
     view.wait("semfield.points.length <= 1", "a third click begins anew")
 
     # What is hidden is neither drawn nor read.
     read = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
-    view.run("document.querySelectorAll('#legend input')[arguments[0]].click()", min(read["label"], len(facts["classes"])))
+    view.run("document.querySelectorAll('#class-list input')[arguments[0]].click()", min(read["label"], len(facts["classes"])))
     after = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
     assert after is None or after["label"] != read["label"], (read, after)
 
-    view.run("document.querySelector('#legend input:not(:checked)').click()")
+    view.run("document.querySelector('#class-list input:not(:checked)').click()")
     live_view.choose_an_object(view)
     assert view.run("return document.getElementById('edit').hidden"), "a file edits nothing"
 
     # Where a picture takes long, a lighter mesh is drawn until the camera rests.
     place = [0, 0, 0, 9, 65535, 0, 0, 9, 0, 65535, 0, 9, 3, 65535, 2, 9]
     assert view.run("return [...lightened({corners: [0, 1, 2, 1, 3, 2, 0, 1, 3], place: arguments[0]})]", place) == [0, 1, 2, 0, 1, 2]
-    calls = view.run("const {calls} = semfield.drawing; semfield.drawing.slow = true; semfield.camera.turn(30, 0); semfield.change(); return calls")
+    calls = view.run("const {calls} = semfield.drawing; semfield.drawing.isSlow = true; semfield.look('turn', 30, 0); return calls")
     view.wait(f"semfield.drawing.calls === {calls + 2}", "a light picture, and a whole one")
     light, whole = view.run("const {light, fine} = semfield.layer; return [light.count, fine.count]")
     assert 0 < light <= whole == 3 * facts["triangles"], (light, whole)
@@ -177,7 +177,7 @@ def look_at_report(driver, path):
     assert view.run("return document.title") != "a stranger"
     assert all("Content Security Policy" in text for text in view.complaints()), "of the stranger alone"
     before = view.run(f"return {inside}.semfield.camera.reach")
-    wheel = f"const w = {inside}, c = w.document.getElementById('view'); %s c.dispatchEvent(new w.WheelEvent('wheel', {{deltaY: -100, cancelable: true}}));"
+    wheel = f"const w = {inside}, c = w.document.getElementById('canvas'); %s c.dispatchEvent(new w.WheelEvent('wheel', {{deltaY: -100, cancelable: true}}));"
     view.run(wheel % "")
     assert view.run(f"return {inside}.semfield.camera.reach") == before, "the report scrolls"
     view.run(wheel % "c.focus();")

@@ -1,5 +1,10 @@
 // Requests to the program. All addresses are relative, so they carry the page's secret folder.
-import {safeStorage} from './dom.js';
+import {safeStorage, store, stored} from './dom.js';
+
+const kLongest_ms = 3600e3;  // for a fine mesh, which takes its time
+
+/// What the program says begins small and ends open.
+export const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? '' : '.') : '');
 
 /// What the program refused: a sentence, what to do about it, and the HTTP status (0: no response came).
 export class Refusal extends Error {
@@ -10,12 +15,16 @@ export class Refusal extends Error {
   }
   /// No response, or one that says "later": the same request may succeed in a while.
   get passes() { return this.status === 0 || this.status >= 500 || this.status === 429; }
+  /// It answers, but not to this page: another run, or a start with another token.
+  get isElsewhere() { return this.status === 403 || this.status === 404; }
+  get inWords() { return `${sentence(this.message)} ${sentence(this.remedy)}`.trim(); }
 }
 
+/// options.signal: in place of the time after which nobody waits any longer.
 async function answered(path, options, timeout_ms) {
   let answer;
   try {
-    answer = await fetch(path, {...options, signal: AbortSignal.timeout(timeout_ms), credentials: 'omit', cache: options.cache ?? 'no-store'});
+    answer = await fetch(path, {signal: AbortSignal.timeout(timeout_ms), credentials: 'omit', cache: 'no-store', ...options});
   } catch {
     throw new Refusal('The program does not answer.', 'Look whether it still runs.', 0);
   }
@@ -40,32 +49,39 @@ async function body(answer, kind) {
 /// name: the state's word for the photograph of now; with it the browser may keep the picture for ever.
 export const photoAddress = (view, name, most_px = 0) => `./photo?view=${view}&photo=${name}${most_px ? `&most_px=${most_px}` : ''}`;
 export const getJson = async (path, timeout_ms = 30000) => body(await answered(path, {}, timeout_ms), 'json');
-export const getBlob = async (path) => body(await answered(path, {cache: 'default'}, 60000), 'blob');
-const postRaw = (path, value) => answered(path, {method: 'POST', headers: {'Content-Type': 'application/json'}, body: JSON.stringify(value)}, 120000);
-export const postJson = async (path, value) => body(await postRaw(path, value), 'json');
+export const getBitmap = async (path) => createImageBitmap(await body(await answered(path, {cache: 'default'}, 60000), 'blob'));
+const post = (path, value, options) =>
+  answered(path, {method: 'POST', headers: {'Content-Type': 'application/json'}, body: JSON.stringify(value), ...options}, 120000);
+export const postJson = async (path, value) => body(await post(path, value), 'json');
+/// signal: ends the request.
+export const postBitmap = async (path, value, signal) => createImageBitmap(await body(await post(path, value, {signal}), 'blob'));
 
-/// Parts of a picture: u32 little-endian length and bytes, four times.
-export function pictureParts(buffer) {
+/// Parts of an answer: bytes behind their length, u32 little-endian.
+export function answerParts(buffer) {
   const view = new DataView(buffer);
   const parts = [];
-  for (let at = 0; parts.length < 4;) {
+  for (let at = 0; at < buffer.byteLength; at += 4 + parts.at(-1).length) {
     const length = view.getUint32(at, true);
-    if (at + 4 + length > buffer.byteLength) throw new Refusal('A picture came incomplete.', '', 0);
+    if (at + 4 + length > buffer.byteLength) throw new Refusal('An answer came incomplete.', '', 0);
     parts.push(new Uint8Array(buffer, at + 4, length));
-    at += 4 + length;
   }
-  const [head, color, labels, entropy] = parts;
-  return {...JSON.parse(new TextDecoder().decode(head)), color, labels, entropy};
+  return parts;
 }
+const jsonOf = (bytes) => JSON.parse(new TextDecoder().decode(bytes));
 
 const decoded = (bytes, type) => (bytes.length ? createImageBitmap(new Blob([bytes], {type})) : null);
 
 /// A picture with bitmaps `color`, `labels`, `entropy` or null.
 export async function getPicture(request) {
-  const picture = pictureParts(await body(await postRaw('./picture', request), 'arrayBuffer'));
-  [picture.color, picture.labels, picture.entropy] = await Promise.all(
-    [decoded(picture.color, 'image/jpeg'), decoded(picture.labels, 'image/png'), decoded(picture.entropy, 'image/png')]);
-  return picture;
+  const [head, ...images] = answerParts(await body(await post('./picture', request), 'arrayBuffer'));
+  const [color, labels, entropy] = await Promise.all(images.map((bytes, i) => decoded(bytes, i ? 'image/png' : 'image/jpeg')));
+  return {...jsonOf(head), color, labels, entropy};
+}
+
+/// The facts of a scene and its mesh, deflated.
+export async function getScene(isFine) {
+  const [facts, mesh] = answerParts(await body(await answered(`./surface?fine=${isFine ? 1 : 0}`, {}, kLongest_ms), 'arrayBuffer'));
+  return {facts: jsonOf(facts), mesh};
 }
 
 const kBackoff_ms = [300, 700, 1500, 3000, 5000];
@@ -147,10 +163,8 @@ export class EventQueue {
     this.key = folder + this.tab;
     const keys = Array.from({length: this.storage.length}, (_, i) => this.storage.key(i));
     for (const key of keys.filter((name) => name?.startsWith(folder) && name !== this.key)) {
-      try {
-        const known = new Set(this.unsent.map((event) => event.id));
-        this.unsent.push(...JSON.parse(this.storage.getItem(key)).filter((event) => !known.has(event.id)));
-      } catch { /* not ours to read: it goes */ }
+      const known = new Set(this.unsent.map((event) => event.id));
+      this.unsent.push(...stored(this.storage, key, []).filter((event) => !known.has(event.id)));
       this.storage.removeItem(key);
     }
     this.keep();
@@ -166,12 +180,8 @@ export class EventQueue {
   poke() { this.backoff.poke(); }
 
   keep() {
-    if (this.key) {
-      try {
-        if (this.unsent.length) this.storage.setItem(this.key, JSON.stringify(this.unsent));
-        else this.storage.removeItem(this.key);
-      } catch { /* full: what is unsent lives on in memory */ }
-    }
+    if (this.key && this.unsent.length) store(this.storage, this.key, this.unsent);
+    else if (this.key) this.storage.removeItem(this.key);
     this.changed();
   }
 
@@ -187,8 +197,8 @@ export class EventQueue {
         this.acknowledged(event, answer);
       } catch (error) {
         if (!(error instanceof Refusal)) console.error(error);
-        // 403 and 404 are of a program that was started anew under another address: the event is not at fault.
-        if (!(error instanceof Refusal) || error.passes || error.status === 403 || error.status === 404) {
+        // Of a program that was started anew under another address, the event is not at fault.
+        if (!(error instanceof Refusal) || error.passes || error.isElsewhere) {
           this.failed(error);
           await this.backoff.wait();
           continue;

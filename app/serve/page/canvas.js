@@ -1,37 +1,6 @@
 // The canvas of a view: where the image lies on it, and what is drawn there. Knows nothing of the program.
+import {toImage, toScreen} from './camera.js';
 import {cssColor, inkOn} from './dom.js';
-
-// Where an image lies on the screen: fitted, zoomed about a point, dragged. Pure; lengths on the screen are CSS pixels.
-
-const kMargin = 8;
-const kMostZoom = 40;
-
-/// scale: screen pixels per image pixel; (x, y): the screen's point of the image's upper left corner.
-export function fitted(image, screen) {
-  const scale = Math.max(1e-6, Math.min((screen.width - 2 * kMargin) / image.width, (screen.height - 2 * kMargin) / image.height));
-  return {scale, x: (screen.width - scale * image.width) / 2, y: (screen.height - scale * image.height) / 2};
-}
-
-export const toImage = (port, x, y) => [(x - port.x) / port.scale, (y - port.y) / port.scale];
-export const toScreen = (port, x, y) => [port.x + x * port.scale, port.y + y * port.scale];
-export const isInside = (image, x, y) => x >= 0 && y >= 0 && x < image.width && y < image.height;
-
-/// Zoomed by `factor`; the image's point under (x, y) stays there. Never smaller than fitted.
-export function zoomed(port, factor, x, y, image, screen) {
-  const least = fitted(image, screen);
-  const scale = Math.min(Math.max(port.scale * factor, least.scale), Math.max(kMostZoom, least.scale));
-  if (scale <= least.scale * 1.001) return least;
-  const ratio = scale / port.scale;
-  return kept({scale, x: x - (x - port.x) * ratio, y: y - (y - port.y) * ratio}, image, screen);
-}
-
-export const moved = (port, dx, dy, image, screen) => kept({...port, x: port.x + dx, y: port.y + dy}, image, screen);
-
-/// Moved as little as leaves the image in sight: its middle third never leaves the screen.
-function kept(port, image, screen) {
-  const within = (at, length, most) => Math.min(Math.max(at, most / 3 - length), (most * 2) / 3);
-  return {...port, x: within(port.x, port.scale * image.width, screen.width), y: within(port.y, port.scale * image.height, screen.height)};
-}
 
 // The canvas in the middle: picture, overlay, marks of clicks, the proposal's ring and the brush.
 
@@ -100,47 +69,17 @@ function outlined(context, width, color, path) {
 }
 
 export class ViewCanvas {
-  constructor(canvas) {
-    this.canvas = canvas;
-    this.context = canvas.getContext('2d');
+  /// camera: a PictureCamera.
+  constructor(canvas, camera) {
+    Object.assign(this, {camera, context: canvas.getContext('2d')});
     this.layer = new OffscreenCanvas(1, 1);
     this.share = 1;  // of the image's size
     this.layerContext = this.layer.getContext('2d', {willReadFrequently: true});
-    this.screen = {width: 1, height: 1};
-    this.image = {width: 1, height: 1};
-    this.port = fitted(this.image, this.screen);
-    this.isFitted = true;
   }
 
-  /// Follows the element's size; true when it changed.
-  resize() {
-    const {clientWidth: width, clientHeight: height} = this.canvas;
-    const ratio = window.devicePixelRatio || 1;
-    if (width === this.screen.width && height === this.screen.height && ratio === this.ratio) return false;
-    this.ratio = ratio;
-    this.screen = {width, height};
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    if (this.isFitted) this.fit();
-    return true;
-  }
-
-  fit() {
-    this.port = fitted(this.image, this.screen);
-    this.isFitted = true;
-  }
-
-  look(port) {
-    this.port = port;
-    this.isFitted = port.scale <= fitted(this.image, this.screen).scale * 1.001;
-  }
-
-  /// The image's size; another one is fitted.
-  setImage(width, height) {
-    if (this.image.width === width && this.image.height === height) return;
-    this.image = {width, height};
-    this.fit();
-  }
+  get port() { return this.camera.port; }
+  get image() { return this.camera.image; }
+  get screen() { return this.camera.screen; }
 
   /// Labels (or entropy) of the view at its own size, a very large one smaller; clicks that they do not know painted over.
   paintLayer(overlay, paints) {
@@ -196,7 +135,7 @@ export class ViewCanvas {
   /// showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke, outline: {points, color, tip}}
   draw(what) {
     const {context, port, image} = this;
-    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    context.setTransform(this.screen.ratio, 0, 0, this.screen.ratio, 0, 0);
     context.clearRect(0, 0, this.screen.width, this.screen.height);
     const place = [port.x, port.y, image.width * port.scale, image.height * port.scale];
     context.fillStyle = '#0c0d0f';
@@ -214,7 +153,10 @@ export class ViewCanvas {
     if (what.outline) this.drawOutline(what.outline);
     if (what.ring) this.drawRing(what.ring);
     if (what.cross) this.drawTicks(...toScreen(port, ...what.cross), 4, 14, 1, '#111');
-    if (what.brush) this.drawBrush(what.brush);
+    if (what.brush) {
+      const {x, y, radius, color} = what.brush;
+      outlined(context, 1, cssColor(color), () => context.arc(...toScreen(port, x, y), Math.max(radius * port.scale, 3), 0, 2 * Math.PI));
+    }
   }
 
   inImage(path) {
@@ -323,13 +265,6 @@ export class ViewCanvas {
     const [x, y] = toScreen(this.port, ...at);
     outlined(this.context, 2.5, '#ffd54a', () => this.context.arc(x, y, 16, 0, 2 * Math.PI));
     this.drawTicks(x, y, 21, 27, 2, '#ffd54a');
-  }
-
-  drawBrush({x, y, radius, color}) {
-    const {context} = this;
-    const [cx, cy] = toScreen(this.port, x, y);
-    const r = Math.max(radius * this.port.scale, 3);
-    outlined(context, 1, cssColor(color), () => context.arc(cx, cy, r, 0, 2 * Math.PI));
   }
 
   imageAt(x, y) { return toImage(this.port, x, y); }

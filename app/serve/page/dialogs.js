@@ -1,5 +1,5 @@
-// Dialogs: name and colour of a class, and the help.
-import {byId, cssColor, freeColor, hexColor, kPalette, make, rgbOfHex, safeStorage, setText} from './dom.js';
+// Dialogs: name and colour of a class; and what each key of the labelling page does, and what a person set.
+import {byId, cssColor, freeColor, hexColor, kPalette, make, rgbOfHex, safeStorage, setText, store, stored} from './dom.js';
 import {nameProblem} from './model.js';
 
 // What is answered is done inside the event that answers: a dialog's close event, or a promise, comes after clicks that a person made
@@ -117,10 +117,8 @@ export function askClass(classes, row, answered) {
   input.select();
 }
 
-// What each key of the page does, and what the help says of it.
-
-/// [title, [[keys and gestures as the help names them, what they do, actions by the names of nameOfKey], ...]], ...
-function keyTable(page) {
+/// What each key does, as Page.followKeys takes it.
+export function keyTable(page) {
   const {stage, labeller, settings} = page;
   const {tools} = stage;
   const undo = () => labeller.undo();
@@ -148,7 +146,7 @@ function keyTable(page) {
       ['c', 'choose the class under the pointer', {c: () => page.chooseSeen()}],
       ['n', 'make a class', {n: () => page.make()}],
       ['a', 'another thing of the chosen class: the next clicks are on it', {a: () => labeller.another()}],
-      ['F2', 'rename, merge or delete the chosen class (or double click)', {F2: () => page.change(page.classOf(labeller.chosen))}],
+      ['F2', 'rename, merge or delete the chosen class (or double click)', {F2: () => page.change(labeller.classOf(labeller.chosen))}],
       ['i', 'ignore: what nobody should label', {i: () => page.choose(labeller.ignore.name)}],
       ['[ ]', 'smaller brush, larger brush', {'[': () => page.setRadius(settings.radius - 1), ']': () => page.setRadius(settings.radius + 1)}],
       ['z, shift+z', 'undo, do again', {'z': undo, 'ctrl+z': undo, 'shift+z': redo, 'ctrl+shift+z': redo, 'ctrl+y': redo}],
@@ -156,12 +154,10 @@ function keyTable(page) {
     ['Proposed click', [
       ['space', 'go to it; there: label it with the chosen class', {' ': () => page.space()}],
       ['g', 'label it with the class that the model guesses', {g: () => page.takeGuess()}],
-      ['s', 'skip it', {s: () => page.skip()}],
+      ['s', 'skip it', {s: () => { const proposal = page.seenProposal(false); if (proposal) labeller.skipProposal(proposal); }}],
     ]],
     ['Look', [
-      ['wheel, pinch, + -', 'zoom', {'+': () => stage.zoom(1.25), '=': () => stage.zoom(1.25), '-': () => stage.zoom(0.8)}],
-      ['right drag, two fingers', 'move the picture (alt+drag too)'],
-      ['0', 'fit the picture', {0: () => stage.fit()}],
+      ...page.lookKeys(),
       ['arrows', 'the view before, the next', each(kArrows, (_, i) => page.step(i < 2 ? -1 : 1))],
       ['home, end', 'the first view, the last', {Home: () => page.show(page.strip.shown[0]), End: () => page.show(page.strip.shown.at(-1))}],
       ['r', 'photograph or rendered', {r: () => page.set(page, {isRendered: !page.isRendered})}],
@@ -172,57 +168,9 @@ function keyTable(page) {
     ['Without a mouse', [
       ['shift+arrows', 'move a cross over the view (with ctrl: by one pixel)', {...cross('shift+', false), ...cross('ctrl+shift+', true)}],
       ['enter', 'click at the cross', {Enter: () => page.enter()}],
-      ['esc', 'out of a polygon or a selection', {Escape: () => page.leave()}],
+      ['esc', 'out of a polygon or a selection', {Escape: () => { tools.drop(); page.select(null); }}],
     ]],
   ];
-}
-
-/// By the names of nameOfKey.
-export function actionsOf(page) {
-  const table = keyTable(page);
-  const help = () => {
-    byId('help-tables').replaceChildren(...table.map(([title, rows]) => make('section', {}, make('h3', {}, title),
-      make('dl', {}, ...rows.flatMap(([keys, what]) => [make('dt', {}, keys), make('dd', {}, what)])))));
-    byId('help-dialog').showModal();
-  };
-  return Object.assign({'?': help}, ...table.flatMap(([, rows]) => rows.map(([, , actions]) => actions)));
-}
-
-// Keys of the whole page, left to the control that has the focus where it needs them itself.
-
-/// Keys that the focused element handles.
-function isTaken(event) {
-  const {target, key} = event;
-  if (target.matches('input[type="text"], select, textarea')) return true;
-  if (target.matches('input[type="range"]')) return /^(Arrow|Home|End|Page)/.test(key);
-  if (target.closest('button, a, summary')) return key === ' ' || key === 'Enter';
-  return false;
-}
-
-/// 'shift+z', 'ctrl+z', 'ArrowLeft', ' ', '1', 'shift+1' (of the key itself, not of what shift makes of it).
-export function nameOfKey(event) {
-  const digit = /^Digit([1-9])$/.exec(event.code);
-  const isLetter = /^[a-z]$/i.test(event.key);
-  const name = digit && event.shiftKey ? digit[1] : isLetter ? event.key.toLowerCase() : event.key;
-  const hasShift = event.shiftKey && (digit || isLetter || name.length > 1);
-  return `${event.ctrlKey || event.metaKey ? 'ctrl+' : ''}${hasShift ? 'shift+' : ''}${name}`;
-}
-
-/// actions: functions by nameOfKey.
-export function followKeys(actions) {
-  addEventListener('keydown', (event) => {
-    if (document.querySelector('dialog[open]') || event.isComposing || event.defaultPrevented || isTaken(event)) return;
-    const action = event.altKey ? undefined : actions[nameOfKey(event)];
-    if (!action) return;
-    event.preventDefault();
-    action(event);
-  });
-  // After a press with the mouse the keys belong to the view again.
-  const home = document.getElementById('canvas');
-  const giveBack = () => { if (!document.querySelector('dialog[open]')) home.focus({preventScroll: true}); };
-  document.addEventListener('click', (event) => { if (event.detail > 0 && event.target.closest('button')) giveBack(); });
-  document.addEventListener('change', (event) => { if (event.target.matches('select')) giveBack(); });
-  document.addEventListener('pointerup', (event) => { if (event.target.matches('input[type="range"]')) giveBack(); });
 }
 
 // What a person set in this browser: opacity, brush, keys of classes. Kept from visit to visit.
@@ -234,18 +182,14 @@ export class Settings {
   constructor(storage = safeStorage('localStorage')) {
     this.storage = storage;
     Object.assign(this, structuredClone(kFirst));
-    try {
-      const kept = JSON.parse(storage.getItem(kKey) ?? '{}');
-      for (const name of Object.keys(kFirst)) if (typeof kept[name] === typeof kFirst[name]) this[name] = kept[name];
-    } catch { /* not ours to read */ }
+    const kept = stored(storage, kKey, {});
+    for (const name of Object.keys(kFirst)) if (typeof kept[name] === typeof kFirst[name]) this[name] = kept[name];
   }
 
   set(values) {
     Object.assign(this, values);
     const {opacity, radius, names, digits} = this;
-    try {
-      this.storage.setItem(kKey, JSON.stringify({opacity, radius, names, digits}));
-    } catch { /* full: forgotten at a reload */ }
+    store(this.storage, kKey, {opacity, radius, names, digits});
   }
 
   /// digit of each class's name: those that a person gave, then the free ones in order.

@@ -13,6 +13,33 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+export function setPressed(isOn) {
+  for (const [id, on] of Object.entries(isOn)) setAttribute(byId(id), 'aria-pressed', on);
+}
+/// children(): what the element holds from now on, made again only where `told`, of which it is made, is another.
+export function refill(element, told, children) {
+  const key = JSON.stringify(told);
+  if (element.told === key) return;
+  element.told = key;
+  element.replaceChildren(...children());
+}
+
+export const onClick = (id, act) => byId(id).addEventListener('click', act);
+
+/// A small square of a colour.
+export function swatch(color) {
+  const square = make('span', {class: 'swatch'});
+  square.style.setProperty('--color', cssColor(color));
+  return square;
+}
+
+/// Has the browser save a file.
+export function saveAs(name, blob) {
+  const link = make('a', {href: URL.createObjectURL(blob), download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
 /// Sets what is shown only where it is another, so that nothing flickers and nobody's selection is lost.
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -24,7 +51,7 @@ export function setStyle(element, name, value) {
   if (element.style.getPropertyValue(name) !== value) element.style.setProperty(name, value);
 }
 
-// Colours: of classes, what stands out on them, and the colour map of entropy.
+// Colours: of classes, what stands out on them, and the ramp of entropy and depth.
 
 export const cssColor = ([r, g, b]) => `rgb(${r} ${g} ${b})`;
 export const hexColor = (rgb) => '#' + rgb.map((v) => v.toString(16).padStart(2, '0')).join('');
@@ -49,9 +76,9 @@ function oklab(rgb) {
 /// Hues are told apart better than shades over a photograph, so lightness counts half.
 const hue = (rgb) => oklab(rgb).map((v, i) => (i ? v : v / 2));
 
-const mixed = (rgb, other, share) => rgb.map((v) => Math.round(v + (other - v) * share));
+const mixed = (rgb, other, share) => rgb.map((v, i) => Math.round(v + (other[i] - v) * share));
 // Where the palette is used up: its colours darker and lighter.
-const kShades = [...kPalette.map((rgb) => mixed(rgb, 0, 0.45)), ...kPalette.map((rgb) => mixed(rgb, 255, 0.5))];
+const kShades = [...kPalette.map((rgb) => mixed(rgb, [0, 0, 0], 0.45)), ...kPalette.map((rgb) => mixed(rgb, [255, 255, 255], 0.5))];
 const kApart = 0.03;
 
 /// The colour of the palette that is farthest from all that are used, or a shade of one where all are taken.
@@ -69,14 +96,40 @@ export function freeColor(used) {
 /// Black or white, whichever is easier to read on the colour.
 export const inkOn = (rgb) => (oklab(rgb)[0] > 0.62 ? '#111' : '#fff');
 
-const kStops = [[18, 20, 40], [66, 30, 110], [150, 45, 110], [225, 90, 70], [250, 165, 60], [255, 245, 175]];
+const kStops = [
+  [41, 5, 60], [45, 28, 83], [45, 49, 104], [41, 71, 122], [33, 94, 137], [19, 117, 149], [7, 139, 156],
+  [27, 162, 160], [61, 183, 159], [100, 203, 152], [145, 221, 141], [193, 236, 126], [245, 248, 109],
+];
 
-/// [256][3]: entropy 0 to the largest.
-export const kEntropyColors = Array.from({length: 256}, (_, i) => {
+/// [256][3]: from low to high; at most 4 off from the pictures that the program makes (perceptual_color in eval/image_output.h).
+export const kRamp = Array.from({length: 256}, (_, i) => {
   const at = (i / 255) * (kStops.length - 1);
   const k = Math.min(kStops.length - 2, Math.floor(at));
-  return kStops[k].map((v, c) => Math.round(v + (kStops[k + 1][c] - v) * (at - k)));
+  return mixed(kStops[k], kStops[k + 1], at - k);
 });
+document.documentElement.style.setProperty('--ramp', `linear-gradient(90deg, ${kStops.map(cssColor).join(', ')})`);
+
+/// What the colours of the ramp mean: [low, high]; null: the picture has none of them.
+export function showLegend(ends) {
+  const legend = byId('legend');
+  legend.hidden = !ends;
+  if (ends) [legend.firstElementChild, legend.lastElementChild].forEach((end, i) => setText(end, ends[i]));
+}
+
+/// What is kept in a store, or `otherwise` where nothing is, or something that is not ours to read.
+export function stored(storage, key, otherwise) {
+  try {
+    return JSON.parse(storage.getItem(key)) ?? otherwise;
+  } catch {
+    return otherwise;
+  }
+}
+
+export function store(storage, key, value) {
+  try {
+    storage.setItem(key, JSON.stringify(value));
+  } catch { /* full: it is forgotten at a reload */ }
+}
 
 /// A store that works where the browser keeps nothing (private windows): then a reload forgets, and nothing else changes.
 export function safeStorage(kind) {

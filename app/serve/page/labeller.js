@@ -1,5 +1,5 @@
 // What a person does to the labels: clicks, classes, undo. Keeps what the program does not know yet and adds it to its state.
-import {safeStorage} from './dom.js';
+import {safeStorage, store, stored} from './dom.js';
 import {EventQueue, Ids} from './api.js';
 import {MarkBirths, combined, kIgnore, merged, outlineCorners, strokeParts} from './model.js';
 
@@ -232,18 +232,12 @@ export class Labeller {
     this.settle();
   }
 
-  keep() {
-    try {
-      this.storage.setItem(`semfield.done.${this.state.run.id}`, JSON.stringify({undoable: this.undoable, redoable: this.redoable}));
-    } catch { /* full: undo forgets at a reload */ }
-  }
+  get storageKey() { return `semfield.done.${this.state.run.id}`; }
+  keep() { store(this.storage, this.storageKey, {undoable: this.undoable, redoable: this.redoable}); }
 
   remembered() {
-    try {
-      const kept = JSON.parse(this.storage.getItem(`semfield.done.${this.state.run.id}`) ?? '{}');
-      this.undoable = kept.undoable ?? [];
-      this.redoable = kept.redoable ?? [];
-    } catch { /* not ours to read */ }
+    const {undoable = [], redoable = []} = stored(this.storage, this.storageKey, {});
+    Object.assign(this, {undoable, redoable});
     for (const event of [...this.undoable, ...this.redoable]) this.everyEvent.set(event.id, event);
     for (const undo of this.redoable) if (!this.everyEvent.has(undo.of)) this.redoable = [];
   }

@@ -1,6 +1,6 @@
 // The right side: classes, exports and notes; and the line at the foot.
 import {photoAddress, postJson} from './api.js';
-import {byId, cssColor, make, setAttribute, setStyle, setText} from './dom.js';
+import {byId, cssColor, make, refill, setAttribute, setPressed, setStyle, setText, showLegend, swatch} from './dom.js';
 import {shapeOf} from './labeller.js';
 import {duration, orderedViews, reason, short} from './model.js';
 
@@ -9,8 +9,7 @@ import {duration, orderedViews, reason, short} from './model.js';
 const kTools = ['brush', 'polygon', 'erase'];
 
 export class Bars {
-  /// page: what it shows and does; messages of the page.
-  constructor(page, messages) { Object.assign(this, {page, messages}); }
+  constructor(page) { this.page = page; }
 
   /// All but the foot, once there is a state.
   update() {
@@ -21,26 +20,23 @@ export class Bars {
   }
 
   foot() {
-    const {labeller, state, isLost} = this.page;
+    const {labeller} = this.page;
     const {unsaved} = labeller;
-    setText(byId('connection'), isLost ?? (state ? 'connected' : 'connecting'));
-    byId('connection').classList.toggle('lost', Boolean(isLost));
     setText(byId('saving'), unsaved ? `${unsaved} not saved yet` : labeller.marks.length ? 'every click is saved' : '');
     byId('saving').classList.toggle('waiting', unsaved > 0);
-    if (!unsaved) this.messages.settled();
+    if (!unsaved) this.page.messages.settled();
   }
 
   tools() {
     const {stage, settings, isRendered, view} = this.page;
-    for (const [id, on] of [['show-photo', !isRendered], ['show-rendered', isRendered], ['show-labels', stage.kind === 'labels'],
-                            ['show-entropy', stage.kind === 'entropy'], ...kTools.map((kind) => [`tool-${kind}`, stage.tools.kind === kind])]) {
-      setAttribute(byId(id), 'aria-pressed', on);
-    }
+    const tools = kTools.map((kind) => [`tool-${kind}`, stage.tools.kind === kind]);
+    const overlays = ['labels', 'entropy'].map((kind) => [`show-${kind}`, stage.kind === kind]);
+    setPressed({'show-photo': !isRendered, 'show-rendered': isRendered, ...Object.fromEntries([...overlays, ...tools])});
     byId('opacity').value = stage.isHidden ? 0 : settings.opacity;
     setText(byId('opacity-value'), stage.isHidden ? 'off' : `${settings.opacity} %`);
     byId('radius').value = settings.radius;
     setText(byId('radius-value'), `${settings.radius} px`);
-    byId('legend').hidden = stage.kind !== 'entropy';
+    showLegend(stage.kind === 'entropy' ? ['certain', 'uncertain'] : null);
     byId('canvas').classList.toggle('locked', Boolean(view?.held_out));
     setAttribute(byId('canvas'), 'aria-label', view ? `View ${view.frame}` : 'No view');
   }
@@ -57,7 +53,7 @@ export class Bars {
       : `Click proposed ${isHere ? 'here' : `in ${state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
     const take = byId('proposal-take');
     take.hidden = byId('proposal-skip').hidden = !proposal;
-    this.fill(take, !isHere ? ['Go to it'] : chosen !== null ? ['Label as ', {...this.page.classOf(chosen), name: this.page.classOf(chosen).label ?? chosen}] : [none ? 'Name it' : 'Choose a class'], isHere && chosen === null && !none ? '' : 'space');
+    this.fill(take, !isHere ? ['Go to it'] : chosen !== null ? ['Label as ', {...this.page.labeller.classOf(chosen), name: this.page.labeller.classOf(chosen).label ?? chosen}] : [none ? 'Name it' : 'Choose a class'], isHere && chosen === null && !none ? '' : 'space');
     take.disabled = isHere && chosen === null && !none;
     const button = byId('proposal-guess');
     button.hidden = take.hidden || !isHere || !guess || guess.name === chosen;
@@ -73,15 +69,8 @@ export class Bars {
 
   /// A button's words, a class with its swatch among them, and its key.
   fill(button, parts, key) {
-    const told = JSON.stringify([parts, key]);
-    if (button.told === told) return;
-    button.told = told;
-    button.replaceChildren(...parts.flatMap((part) => {
-      if (typeof part === 'string') return [part];
-      const dot = make('span', {class: 'dot'});
-      dot.style.setProperty('--color', cssColor(part.color));
-      return [dot, part.name];
-    }), ...(key ? [' ', make('kbd', {}, key)] : []));
+    const shown = (part) => (typeof part === 'string' ? [part] : [swatch(part.color), part.name]);
+    refill(button, [parts, key], () => [...parts.flatMap(shown), ...(key ? [' ', make('kbd', {}, key)] : [])]);
   }
 
   welcome() {
@@ -93,10 +82,9 @@ export class Bars {
       : classes.length === 0 ? ['Name the first class', 'Press n, or click on something in the picture. Colour and geometry are being learned already; ' +
           'labels of all views follow within a second of the first clicks.']
       : !hasMarks && labeller.chosen === null ? ['Choose a class, then click', 'Keys 1 to 9 choose a class, n makes one. A click, or a drag along something, labels it.']
-      : !hasMarks ? [`Click on something that is "${this.page.classOf(labeller.chosen).label ?? labeller.chosen}"`, 'Or drag along it. Keys 1 to 9 choose another class, n makes one.'] : null;
+      : !hasMarks ? [`Click on something that is "${this.page.labeller.classOf(labeller.chosen).label ?? labeller.chosen}"`, 'Or drag along it. Keys 1 to 9 choose another class, n makes one.'] : null;
     welcome.hidden = !words;
-    if (words && this.welcomed !== words[0]) welcome.replaceChildren(make('h2', {}, words[0]), make('p', {}, words[1]));
-    this.welcomed = words?.[0];
+    if (words) refill(welcome, words, () => [make('h2', {}, words[0]), make('p', {}, words[1])]);
   }
 }
 
@@ -151,17 +139,15 @@ export class Panel {
       const row = this.rows[i];
       row.shown = shown;
       const key = keys.get(shown.name) ?? '';
-      setText(row.key, key);
+      const [area, sure] = [`${percent(shown.area_share)} %`, `${Math.round(100 * shown.confidence)} %`];
+      const hasArea = shown.area_share > 0;
+      const cells = {key, name: shown.name, clicks: shown.clicks || '', area: hasArea ? area : '', sure: hasArea ? sure : ''};
+      for (const [cell, text] of Object.entries(cells)) setText(row[cell], String(text));
       setStyle(row.swatch, '--color', cssColor(shown.color));
-      setText(row.name, shown.name);
-      setText(row.clicks, shown.clicks ? String(shown.clicks) : '');
-      setText(row.area, shown.area_share > 0 ? `${percent(shown.area_share)} %` : '');
-      setText(row.sure, shown.area_share > 0 ? `${Math.round(100 * shown.confidence)} %` : '');
       setAttribute(row.item, 'aria-checked', shown.name === chosen);
       setAttribute(row.item, 'tabindex', shown.name === chosen || (!hasChosen && i === 0) ? 0 : -1);
       const told = shown.saved ? '' : ', not saved yet';
-      setAttribute(row.item, 'aria-label', `${shown.name}${key ? `, key ${key}` : ''}, ${shown.clicks} clicks, ${percent(shown.area_share)} % of the area, ` +
-        `${Math.round(100 * shown.confidence)} % sure${told}`);
+      setAttribute(row.item, 'aria-label', `${shown.name}${key ? `, key ${key}` : ''}, ${shown.clicks} clicks, ${area} of the area, ${sure} sure${told}`);
       setAttribute(row.item, 'title', `${shown.name}${told}: click to choose, double click to rename, merge or delete`);
       row.item.classList.toggle('unsaved', !shown.saved);
     });
@@ -172,13 +158,9 @@ export class Panel {
 
   updateRun(state) {
     this.updateExports(state.exports ?? []);
-    const notes = byId('notes');
-    const told = (state.notes ?? []).join('\n');
-    notes.hidden = !told;
-    if (this.told !== told) {
-      this.told = told;
-      notes.replaceChildren(make('header', {}, make('h2', {}, 'Notes')), ...(state.notes ?? []).slice(-5).map((note) => make('p', {}, note)));
-    }
+    const notes = (state.notes ?? []).slice(-5);
+    byId('notes').hidden = notes.length === 0;
+    refill(byId('notes'), notes, () => [make('header', {}, make('h2', {}, 'Notes')), ...notes.map((note) => make('p', {}, note))]);
     const {run} = state;
     const psnr = run.psnr ? `PSNR ${run.psnr.toFixed(1)} dB` : '';
     const parts = [run.name, run.phase, `step ${run.step.toLocaleString('en')}`, psnr, duration(run.train_s), `${short(run.rays_per_s)} rays/s`, run.device];
@@ -190,10 +172,7 @@ export class Panel {
   send(request) { postJson('./export', request).catch((error) => this.page.messages.refuse(error.message, error.remedy)); }
 
   updateExports(exports) {
-    const told = JSON.stringify(exports);
-    if (this.exports === told) return;
-    this.exports = told;
-    byId('export-list').replaceChildren(...exports.toReversed().map(({id, what, state, text, files}) => {
+    refill(byId('export-list'), exports, () => exports.toReversed().map(({id, what, state, text, files}) => {
       const links = (files ?? []).map((name, n) => make('a', {href: `./export/${encodeURIComponent(id)}/${n}`, download: name.split('/').at(-1)}, name));
       const many = links.length > 3;
       const list = make('div', {class: 'files'}, ...links);
@@ -211,49 +190,6 @@ export class Panel {
 function progressOf(text, label) {
   const [, done, all] = /(\d+)\/(\d+)/.exec(text) ?? [];
   return make('progress', {'aria-label': label, ...(all ? {value: done, max: all} : {})});
-}
-
-/// What the program says begins small and ends open.
-const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? '' : '.') : '');
-
-/// Messages over the canvas: errors stay until they are closed, others go after a while.
-export class Messages {
-  constructor() { this.list = byId('messages'); }
-
-  tell(text) {
-    this.list.querySelector('.word')?.remove();
-    const message = make('div', {class: 'word'}, text);
-    this.list.append(message);
-    setTimeout(() => message.remove(), 3500);
-  }
-
-  /// All is saved: messages about saving are over.
-  settled() {
-    for (const message of this.list.querySelectorAll('.passes')) message.remove();
-  }
-
-  /// One message under a name, for as long as `what` says something.
-  hold(name, what, remedy) {
-    const shown = this.list.querySelector(`[data-name="${name}"]`);
-    if (shown?.dataset.text === what || (!shown && !what)) return;
-    shown?.remove();
-    if (what) this.list.append(make('div', {class: 'error', role: 'alert', 'data-name': name, 'data-text': what}, make('p', {}, make('b', {}, sentence(what)), ` ${sentence(remedy)}`)));
-  }
-
-  /// A request that was wrong; others are made again.
-  wrong(error) {
-    if (error.status === 400) this.refuse(error.message, error.remedy);
-  }
-
-  refuse(what, remedy, passes = false) {
-    const text = `${sentence(what)} ${sentence(remedy)}`;
-    for (const other of this.list.querySelectorAll('.error')) if (other.dataset.text === text) return;
-    while (this.list.querySelectorAll('.error').length > 2) this.list.querySelector('.error').remove();
-    const close = make('button', {'aria-label': 'Close the message', onclick: () => message.remove()}, 'Close');
-    const message = make('div', {class: passes ? 'error passes' : 'error', role: 'alert', 'data-text': text},
-                         make('p', {}, make('b', {}, sentence(what)), ` ${sentence(remedy)}`), close);
-    this.list.append(message);
-  }
 }
 
 // The strip of views: thumbnails that load when they come into sight, clicks and entropy.

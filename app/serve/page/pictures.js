@@ -1,6 +1,6 @@
 // Photographs and overlays of views: fetched when a view is looked at, kept for the last few.
-import {getBlob, getPicture, photoAddress} from './api.js';
-import {kEntropyColors} from './dom.js';
+import {getBitmap, getPicture, photoAddress} from './api.js';
+import {kRamp} from './dom.js';
 
 const kKept = 16;
 const kKeptLarge = 3;      // photographs larger than the view: some have many megapixels
@@ -14,27 +14,11 @@ export function photoLevel(wanted_px, view_px) {
 }
 const isLess = (level, other) => level !== 0 && (other === 0 || level < other);
 
-/// A map that forgets what was used longest ago.
-class Recent {
-  constructor(most) {
-    this.most = most;
-    this.values = new Map();
-  }
-  get(key) {
-    const value = this.values.get(key);
-    if (value !== undefined) {
-      this.values.delete(key);
-      this.values.set(key, value);
-    }
-    return value;
-  }
-  set(key, value) {
-    this.values.delete(key);
-    this.values.set(key, value);
-    if (this.values.size > this.most) this.values.delete(this.values.keys().next().value);
-  }
-  delete(key) { this.values.delete(key); }
-  all() { return this.values.values(); }
+/// Keeps what was used last; what was used longest ago is forgotten.
+function remember(kept, key, value, most) {
+  kept.delete(key);
+  kept.set(key, value);
+  if (kept.size > most) kept.delete(kept.keys().next().value);
 }
 
 /// The grey picture of entropy in colours.
@@ -43,17 +27,14 @@ export function entropyCanvas(bitmap) {
   const context = canvas.getContext('2d', {willReadFrequently: true});
   context.drawImage(bitmap, 0, 0);
   const image = context.getImageData(0, 0, bitmap.width, bitmap.height);
-  for (let i = 0; i < image.data.length; i += 4) image.data.set(kEntropyColors[image.data[i]], i);
+  for (let i = 0; i < image.data.length; i += 4) image.data.set(kRamp[image.data[i]], i);
   context.putImageData(image, 0, 0);
   return canvas;
 }
 
 export class Pictures {
   constructor({changed, messages}, client) {
-    Object.assign(this, {changed, messages, client});
-    this.photos = new Recent(kKept);
-    this.large = new Recent(kKeptLarge);
-    this.overlays = new Recent(kKept);
+    Object.assign(this, {changed, messages, client, photos: new Map(), large: new Map(), overlays: new Map()});
     this.wished = null;
     this.next = null;      // the newest wish takes the place of one that waits
     this.isAsking = false;
@@ -62,22 +43,22 @@ export class Pictures {
   /// The best photograph of the view that is there, or null; one that is sharp when it is shown `wanted_px` long is fetched.
   /// name: of the photograph, which is another when the scene was changed and the program started again.
   photo(view, name, view_px, wanted_px) {
-    const small = this.fetched(this.photos, view, name, view_px);
+    const small = this.fetched(this.photos, kKept, view, name, view_px);
     const level = photoLevel(wanted_px, view_px);
-    const large = level === view_px ? this.large.get(view) : this.fetched(this.large, view, name, level);
+    const large = level === view_px ? this.large.get(view) : this.fetched(this.large, kKeptLarge, view, name, level);
     return (large?.name === name ? large.bitmap : null) ?? small.bitmap;
   }
 
   /// {bitmap, level}: of a photograph at this level or a higher one; a lower one until it comes.
-  fetched(kept, view, name, level) {
+  fetched(kept, most, view, name, level) {
     const before = kept.get(view);
     const entry = before?.name === name ? before : {name, bitmap: null, level: undefined, coming: undefined};
     const has = entry.level !== undefined && !isLess(entry.level, level);
     const comes = entry.coming !== undefined && !isLess(entry.coming, level);
-    kept.set(view, entry);
+    remember(kept, view, entry, most);
     if (has || comes || entry.isAll || entry.rests) return entry;
     entry.coming = level;
-    getBlob(photoAddress(view, name, level)).then(createImageBitmap).then((bitmap) => {
+    getBitmap(photoAddress(view, name, level)).then((bitmap) => {
       if (isLess(level, entry.level)) return;
       entry.bitmap?.close();
       Object.assign(entry, {bitmap, level, isAll: level === 0 || Math.max(bitmap.width, bitmap.height) < level});
@@ -96,7 +77,7 @@ export class Pictures {
 
   /// Everything may be another: the program was started anew.
   forget() {
-    for (const entry of this.overlays.all()) Object.assign(entry, {revision: -1, entropyRevision: -1, colorRevision: -1});
+    for (const entry of this.overlays.values()) Object.assign(entry, {revision: -1, entropyRevision: -1, colorRevision: -1});
     this.wished = null;
   }
 
@@ -139,7 +120,7 @@ export class Pictures {
       if (picture.entropy) Object.assign(entry, {entropy: entropyCanvas(picture.entropy), entropyRevision: revision});
       if (picture.color) Object.assign(entry, {color: picture.color, colorRevision: revision, colored_ms: performance.now()});
       entry.version = (entry.version ?? 0) + 1;
-      this.overlays.set(view, entry);
+      remember(this.overlays, view, entry, kKept);
     }
     this.changed();
   }

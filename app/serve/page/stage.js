@@ -1,16 +1,17 @@
 // The middle of the page: what of a view is drawn.
-import {ViewCanvas, isInside, moved, toScreen, zoomed} from './canvas.js';
+import {isInside, toScreen} from './camera.js';
+import {ViewCanvas} from './canvas.js';
 import {byId, setText} from './dom.js';
-import {followPointer} from './pointer.js';
 import {Tools} from './tools.js';
 
+const kRenderPause_ms = 4000;  // between renderings of a view that is only looked at
 const kDimmed = 50;  // alpha of other classes while one is pointed at
 const kHead_px = 9;  // of the screen: a pointer this near to the first point of a mark means the mark
 
 export class Stage {
   constructor(page) {
     Object.assign(this, {page, labeller: page.labeller, settings: page.settings});
-    this.view = new ViewCanvas(byId('canvas'));
+    this.view = new ViewCanvas(page.canvas, page.camera);
     this.kind = 'labels';
     this.isHidden = false;     // the overlay is off
     this.pointed = null;       // name of the class whose row is pointed at
@@ -21,25 +22,16 @@ export class Stage {
     this.selected = null;      // id of a mark
     this.shown = null;         // number of the view that the person sees
     this.tools = new Tools(this);
-    new ResizeObserver(() => { if (this.view.resize()) page.redraw(); }).observe(byId('canvas'));
-    this.view.resize();
-    followPointer(byId('canvas'), {
+    page.followHand({
       hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; page.redraw(); },
       down: (x, y) => this.tools.down(x, y),
       draw: (x, y) => this.tools.draw(x, y),
       up: (isClick, x, y) => this.tools.up(x, y, isClick),
       cancel: (isPinch) => this.tools.cancel(isPinch),
-      pan: (dx, dy) => this.look(moved(this.view.port, dx, dy, this.view.image, this.view.screen)),
-      zoom: (factor, x, y) => this.zoom(factor, x, y),
     });
   }
 
   get chosenRow() { return this.labeller.classOf(this.labeller.chosen) ?? {color: [255, 255, 255]}; }
-
-  look(port) {
-    this.view.look(port);
-    this.page.redraw();
-  }
 
   /// At the row of a class, whose labels stand out then; null: at none.
   point(name) {
@@ -47,18 +39,9 @@ export class Stage {
     this.page.redraw();
   }
 
-  zoom(factor, x = this.view.screen.width / 2, y = this.view.screen.height / 2) {
-    this.look(zoomed(this.view.port, factor, x, y, this.view.image, this.view.screen));
-  }
-
-  fit() {
-    this.view.fit();
-    this.page.redraw();
-  }
-
   isInSight([x, y]) {
     const [sx, sy] = toScreen(this.view.port, x, y);
-    return isInside({width: this.view.screen.width, height: this.view.screen.height}, sx, sy);
+    return isInside(this.view.screen, sx, sy);
   }
 
   /// The point of the view that a key means: the cross, or where the pointer is.
@@ -74,7 +57,7 @@ export class Stage {
     const [x, y] = this.cross ?? this.aim ?? [width / 2, height / 2];
     const within = (v, most) => Math.min(Math.max(Math.floor(v) + 0.5, 0.5), most - 0.5);
     this.cross = [within(x + dx * step, width), within(y + dy * step, height)];
-    if (!this.isInSight(this.cross)) this.view.fit();
+    if (!this.isInSight(this.cross)) this.page.camera.fit();
     this.page.redraw();
   }
 
@@ -101,25 +84,44 @@ export class Stage {
     return at && this.markUnder(...at);
   }
 
-  /// Draws a view: photo or rendered colour, its overlay, the marks; `isPainted(mark)`: the overlay knows the mark; others: clicks of other
-  /// views; isLocked: it is only looked at.
-  drawView({index, picture, overlay, marks, others, isPainted, ring, isLocked}) {
-    Object.assign(this, {marks, others, shown: index});
+  /// The view: photo or rendered colour, its overlay, marks, and clicks of other views.
+  draw() {
+    const {page, labeller, tools} = this;
+    const {index, view, camera, isRendered, pictures, state} = page;
     const isEntropy = this.kind === 'entropy';
+    const overlay = pictures.overlay(index);
+    if (!document.hidden && (view.ready || isRendered)) {
+      pictures.want({view: index, entropy: isEntropy, color: isRendered}, state.overlay.revision, kRenderPause_ms);
+    }
+    camera.setImage(view.width, view.height);
+    const view_px = Math.max(view.width, view.height);
+    const rendered = isRendered ? overlay?.color : null;
+    const picture = rendered ?? pictures.photo(index, view.photo, view_px, view_px * camera.port.scale * camera.screen.ratio) ?? overlay?.color;
+
+    const known = new Map(labeller.marks.map((mark) => [mark.id, mark]));
+    const share = view.width / (overlay?.width ?? view.width);
+    const marks = labeller.marks.filter((mark) => mark.view === index);
+    const others = (overlay?.marks ?? []).filter(({id}) => known.has(id) && known.get(id).view !== index).map(({id, points}) => ({
+      ...known.get(id), points: points.map((p) => p.map((v) => v * share)), frame: state.views[known.get(id).view].frame}));
+    Object.assign(this, {marks, others, shown: index});
+
     // What is ignored has no label in the overlay; what was named on it later lies over its stripes.
+    const events = overlay ? page.overlayEvents.known(overlay.revision) : -1;
+    const isPainted = ({id, saved}) => saved && labeller.births.isPainted(id, events);
     const ignored = marks.findIndex(({isIgnore}) => isIgnore);
     const paints = isEntropy ? [] : marks.filter((mark, i) => !isPainted(mark) || (ignored >= 0 && i >= ignored));
     this.paint(isEntropy ? overlay?.entropy : overlay?.labels, paints,
                `${index} ${this.kind} ${overlay?.version} ${paints.map(({id, color}) => id + color).join()}`);
+
     const hovered = this.pointer && (this.markUnder(...this.pointer) ?? this.markUnder(...this.pointer, others));
-    const {tools} = this;
-    const hasBrush = this.pointer && !this.cross && this.aim && !isLocked && tools.kind !== 'polygon';
-    const brush = hasBrush && (tools.kind === 'erase' || this.labeller.chosen !== null)
+    const hasBrush = this.pointer && !this.cross && this.aim && !view.held_out && tools.kind !== 'polygon';
+    const brush = hasBrush && (tools.kind === 'erase' || labeller.chosen !== null)
       ? {x: this.aim[0], y: this.aim[1], radius: this.settings.radius, color: tools.kind === 'erase' ? [255, 107, 94] : this.chosenRow.color} : null;
     const outline = tools.outline && {points: tools.outline, color: this.chosenRow.color, tip: this.aim, closes: tools.closes};
+    const ring = labeller.proposal?.view === index ? labeller.proposal.at : null;
     this.view.draw({picture, opacity: this.opacity, marks, others, hovered, selected: marks.find(({id}) => id === this.selected), doomed: tools.doomed,
                     showNames: this.settings.names, ring, brush, cross: this.cross, stroke: tools.stroke, outline});
-    this.tellAim(hovered, isLocked);
+    this.tellAim(hovered, view.held_out);
   }
 
   get opacity() { return this.isHidden ? 0 : this.settings.opacity / 100; }

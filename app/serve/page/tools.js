@@ -1,5 +1,5 @@
 // What the pointer does to the view: a brush that labels, a polygon, an eraser of marks.
-import {isInside} from './canvas.js';
+import {isInside} from './camera.js';
 import {markAt} from './model.js';
 
 const kSnap_px = 9;  // of the screen: what lies nearer is meant

@@ -1,74 +1,35 @@
-// 4 x 4 matrices by columns, as WebGL takes them, and vectors as arrays of three.
-const add = (a, b, s = 1) => a.map((v, i) => v + s * b[i]);
-const dot = (a, b) => a.reduce((sum, v, i) => sum + v * b[i], 0);
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = (a) => a.map((v) => v / Math.hypot(...a));
-const distance = (a, b) => Math.hypot(...add(a, b, -1));
-/** A length in the scene's unit: to a millimetre in a room, and as fine in scenes of other sizes; `coarser` digits less. */
-const length_text = (v, {low, high}, coarser = 0) =>
+// The mesh of a scene as it comes from the program, and its drawing: one call per scene and picture.
+import {distance} from './camera.js';
+import {kRamp} from './dom.js';
+
+export const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4};
+const kReading = 10;     // the mode of read(), which draws numbers beside the screen
+const kSlow_ms = 50;     // a picture that takes longer is drawn lighter while the camera moves
+const kLightCells = 64;  // along each side, of which a light mesh keeps a vertex each
+export const [kHidden, kShown, kChosen] = [0, 255, 128];  // alpha of a palette's colour
+export const kGrey = [150, 150, 150];                     // what has no class or object
+
+/// A length in the scene's unit: to a millimetre in a room, and as fine in scenes of other sizes; `coarser` digits less.
+export const lengthText = (v, {low, high}, coarser = 0) =>
   v.toFixed(Math.min(20, Math.max(0, 3 - coarser - Math.floor(Math.log10(distance(low, high) || 1)))));
 
-function product(a, b) {
-  const out = new Array(16).fill(0);
-  for (let column = 0; column < 4; ++column)
-    for (let row = 0; row < 4; ++row)
-      for (let k = 0; k < 4; ++k) out[4 * column + row] += a[4 * k + row] * b[4 * column + k];
-  return out;
-}
+export const bytesOf = (text) => Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
 
-/** m (p, 1), divided by its last number. */
-function moved(m, p) {
-  const out = [0, 1, 2, 3].map((row) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row]);
-  return [out[0] / out[3], out[1] / out[3], out[2] / out[3], out[3]];
-}
-
-/** The rotation of a unit quaternion [x, y, z, w]. */
-function rotation([x, y, z, w]) {
-  return [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), 0,
-    2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), 0,
-    2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y), 0, 0, 0, 0, 1];
-}
-
-const transposed = (m) => m.map((_, i) => m[4 * (i % 4) + Math.floor(i / 4)]);
-
-function perspective(angle, aspect, near, far) {
-  const f = 1 / Math.tan(angle / 2);
-  return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0];
-}
-
-/** World to the axes of a camera at `eye` that looks along `forward`, with y up. */
-function view_from(eye, forward) {
-  const right = unit(cross(forward, [0, 1, 0])), up = cross(right, forward);
-  return [right[0], up[0], -forward[0], 0, right[1], up[1], -forward[1], 0, right[2], up[2], -forward[2], 0,
-    -dot(right, eye), -dot(up, eye), dot(forward, eye), 1];
-}
-
-// The mesh as it comes in the file, and its drawing: one call per scene and picture.
-const canvas = document.getElementById("view");
-const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4};
-const kReading = 10;         // the mode of read(), which draws numbers beside the screen
-const kSlow_ms = 50;   // a picture that takes longer is drawn lighter while the camera moves
-const kLightCells = 64;  // along each side, of which a light mesh keeps a vertex each
-const kHidden = 0, kShown = 255, kChosen = 128;    // alpha of a palette's colour
-
-// ---- the mesh
-
-const bytes_of = (text) => Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
-
-async function inflated(bytes) {
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+export async function inflated(bytes) {
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
   return new Response(stream).arrayBuffer();
 }
 
-/** Sums of differences, in place. */
+/// Sums of differences, in place.
 function summed(numbers) {
   for (let i = 1; i < numbers.length; ++i) numbers[i] += numbers[i - 1];
   return numbers;
 }
 
-/** corners [3 T] of triangles; place [V, 4]: steps along the box and the class; color [V, 4] with entropy; object [V]. */
-function unpacked(buffer, facts) {
-  const count = facts.vertices, corners = summed(new Uint32Array(buffer, 0, 3 * facts.triangles));
+/// corners [3 T] of triangles; place [V, 4]: steps along the box and the class; color [V, 4] with entropy; object [V].
+export function unpacked(buffer, facts) {
+  const count = facts.vertices;
+  const corners = summed(new Uint32Array(buffer, 0, 3 * facts.triangles));
   let at = corners.byteLength;
   const part = (Kind) => {
     const numbers = new Kind(buffer.slice(at, at + Kind.BYTES_PER_ELEMENT * count));
@@ -76,10 +37,11 @@ function unpacked(buffer, facts) {
     return numbers;
   };
   const axes = [0, 1, 2].map(() => summed(part(Uint16Array)));
-  const labels = part(Uint16Array), channels = [0, 1, 2].map(() => part(Uint8Array));
+  const labels = part(Uint16Array);
+  const channels = [0, 1, 2].map(() => part(Uint8Array));
   const entropy = facts.labels ? part(Uint8Array) : new Uint8Array(count);
   const object = facts.objects.length > 0 ? part(Uint16Array) : new Uint16Array(count);
-  const place = new Uint16Array(4 * count), color = new Uint8Array(4 * count);
+  const [place, color] = [new Uint16Array(4 * count), new Uint8Array(4 * count)];
   for (let v = 0; v < count; ++v) {
     for (let k = 0; k < 3; ++k) {
       place[4 * v + k] = axes[k][v];
@@ -91,23 +53,23 @@ function unpacked(buffer, facts) {
   return {corners, place, color, object};
 }
 
-/** Corners of a lighter mesh of the same vertices: the first in each cell stands for all, and what shrinks to a line goes. */
+/// Corners of a lighter mesh of the same vertices: the first in each cell stands for all, and what shrinks to a line goes.
 function lightened({corners, place}) {
-  const first = new Int32Array(kLightCells ** 3).fill(-1), stands_for = new Uint32Array(place.length / 4), kept = [];
+  const first = new Int32Array(kLightCells ** 3).fill(-1);
+  const standsFor = new Uint32Array(place.length / 4);
+  const left = [];
   const cell = (steps) => steps * kLightCells >> 16;
-  for (let v = 0; v < stands_for.length; ++v) {
+  for (let v = 0; v < standsFor.length; ++v) {
     const at = cell(place[4 * v]) + kLightCells * (cell(place[4 * v + 1]) + kLightCells * cell(place[4 * v + 2]));
     if (first[at] < 0) first[at] = v;
-    stands_for[v] = first[at];
+    standsFor[v] = first[at];
   }
   for (let i = 0; i < corners.length; i += 3) {
-    const [a, b, c] = [stands_for[corners[i]], stands_for[corners[i + 1]], stands_for[corners[i + 2]]];
-    if (a !== b && b !== c && c !== a) kept.push(a, b, c);
+    const [a, b, c] = [standsFor[corners[i]], standsFor[corners[i + 1]], standsFor[corners[i + 2]]];
+    if (a !== b && b !== c && c !== a) left.push(a, b, c);
   }
-  return Uint32Array.from(kept);
+  return Uint32Array.from(left);
 }
-
-// ---- drawing
 
 const kVertex = `#version 300 es
 layout(location = 0) in vec3 steps;
@@ -163,11 +125,11 @@ void main() {
   pixel = vec4(shown, 1.0);
 }`;
 
-/** One mesh on the graphics device, with the colours of its classes and objects. */
-class Layer {
+/// One mesh on the graphics device, with the colours of its classes and objects.
+export class Layer {
   constructor(drawing, facts, mesh) {
-    const gl = drawing.gl;
-    Object.assign(this, {drawing, facts, mesh, vertices: mesh.object.length, depth_range: [0, 1]});
+    const {gl} = drawing;
+    Object.assign(this, {drawing, facts, mesh, depthRange: [0, 1]});
     this.array = gl.createVertexArray();
     gl.bindVertexArray(this.array);
     this.buffer(gl.ARRAY_BUFFER, mesh.place);
@@ -175,16 +137,16 @@ class Layer {
     gl.vertexAttribIPointer(2, 1, gl.UNSIGNED_SHORT, 8, 6);
     this.buffer(gl.ARRAY_BUFFER, mesh.color);
     gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 4, 0);
-    this.object_buffer = this.buffer(gl.ARRAY_BUFFER, mesh.object);
+    this.objectBuffer = this.buffer(gl.ARRAY_BUFFER, mesh.object);
     gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_SHORT, 2, 0);
     for (const index of [0, 1, 2, 3]) gl.enableVertexAttribArray(index);
     this.fine = {buffer: this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners), count: mesh.corners.length};
-    const colors = facts.classes.map((one) => one.color);
-    this.classes = this.palette([...colors, [150, 150, 150]]);
-    this.set_objects(facts.objects);
+    this.classes = this.palette([...facts.classes.map(({color}) => color), kGrey]);
+    this.setObjects(facts.objects);
   }
   buffer(kind, data) {
-    const gl = this.drawing.gl, made = gl.createBuffer();
+    const {gl} = this.drawing;
+    const made = gl.createBuffer();
     gl.bindBuffer(kind, made);
     gl.bufferData(kind, data, gl.STATIC_DRAW);
     return made;
@@ -196,28 +158,25 @@ class Layer {
     this.drawing.send(made);
     return made;
   }
-  /** `ids` [vertices] where they changed. */
-  set_objects(objects, ids) {
-    const gl = this.drawing.gl, colors = [[150, 150, 150]];
-    for (let id = 1; id <= Math.max(0, ...objects.map((o) => o.id)); ++id) colors.push([150, 150, 150]);
-    for (const one of objects) colors[one.id] = one.color;
+  /// `ids` [vertices] where they changed.
+  setObjects(objects, ids) {
+    const {gl} = this.drawing;
+    const colors = Array.from({length: 1 + Math.max(0, ...objects.map(({id}) => id))}, () => kGrey);
+    for (const {id, color} of objects) colors[id] = color;
     if (this.things) gl.deleteTexture(this.things.texture);
     this.things = this.palette(colors);
-    if (ids) this.fill(this.object_buffer, ids);
+    if (!ids) return;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.objectBuffer);
+    gl.bufferData(gl.ARRAY_BUFFER, ids, gl.STATIC_DRAW);
   }
-  fill(buffer, data) {
-    const gl = this.drawing.gl;
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
-  }
-  /** `palette`: classes or things; `alpha`: kHidden, kShown or kChosen. */
+  /// `palette`: classes or things; `alpha`: kHidden, kShown or kChosen.
   mark(palette, entry, alpha) {
     palette.bytes[4 * entry + 3] = alpha;
     this.drawing.send(palette);
   }
-  /** Binds the triangles to draw, with the layer's array bound; their number of corners. */
+  /// Binds the triangles to draw, with the layer's array bound; their number of corners.
   triangles(light) {
-    const gl = this.drawing.gl;
+    const {gl} = this.drawing;
     if (light && !this.light) {
       const corners = lightened(this.mesh);
       this.light = {buffer: this.buffer(gl.ELEMENT_ARRAY_BUFFER, corners), count: corners.length};
@@ -229,10 +188,10 @@ class Layer {
   drop() { this.drawing.gl.deleteVertexArray(this.array); }
 }
 
-class Drawing {
-  constructor(ramp) {
-    const gl = this.gl = canvas.getContext("webgl2", {antialias: true, preserveDrawingBuffer: true});
-    if (gl === null) throw new Error("This browser has no WebGL 2: take a newer one, or switch hardware acceleration on.");
+export class Drawing {
+  constructor(canvas) {
+    const gl = this.gl = canvas.getContext('webgl2', {antialias: true, preserveDrawingBuffer: true});
+    if (gl === null) throw new Error('This browser has no WebGL 2: take a newer one, or switch hardware acceleration on.');
     this.program = gl.createProgram();
     for (const [kind, text] of [[gl.VERTEX_SHADER, kVertex], [gl.FRAGMENT_SHADER, kFragment]]) {
       const shader = gl.createShader(kind);
@@ -243,77 +202,76 @@ class Drawing {
     }
     gl.linkProgram(this.program);
     gl.useProgram(this.program);
-    this.at = new Map();
-    ["palette", "things", "ramp"].forEach((name, unit) => gl.uniform1i(this.place(name), unit));
+    const names = Array.from({length: gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS)}, (_, i) => gl.getActiveUniform(this.program, i).name);
+    this.at = Object.fromEntries(names.map((name) => [name, gl.getUniformLocation(this.program, name)]));
+    ['palette', 'things', 'ramp'].forEach((name, unit) => gl.uniform1i(this.at[name], unit));
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    const colors = new Uint8Array(4 * 256).fill(255);
-    for (let i = 0; i < 256; ++i) colors.set(ramp.slice(3 * i, 3 * i + 3), 4 * i);
-    this.ramp = {texture: this.texture(), bytes: colors};
+    this.ramp = {texture: this.texture(), bytes: Uint8Array.from(kRamp.flatMap((color) => [...color, 255]))};
     this.send(this.ramp);
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);  // a room seen from outside is open
     this.target = gl.createFramebuffer();
     this.calls = 0;
-    this.slow = false;
-  }
-  place(name) {
-    if (!this.at.has(name)) this.at.set(name, this.gl.getUniformLocation(this.program, name));
-    return this.at.get(name);
+    this.isSlow = false;
   }
   texture() {
-    const gl = this.gl, made = gl.createTexture();
+    const {gl} = this;
+    const made = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, made);
     for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
     return made;
   }
   send({texture, bytes}) {
-    const gl = this.gl;
+    const {gl} = this;
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, bytes.length / 4, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
   }
   clear(background) {
-    const gl = this.gl;
-    gl.viewport(0, 0, canvas.width, canvas.height);
+    const {gl} = this;
+    gl.viewport(0, 0, gl.canvas.width, gl.canvas.height);
     gl.clearColor(...background);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   }
-  draw_layer(layer, mode, matrices, light = false) {
-    const gl = this.gl, {low, high, classes} = layer.facts;
+  drawLayer(layer, mode, matrices, light = false) {
+    const {gl} = this;
+    const {low, high, classes} = layer.facts;
     gl.bindVertexArray(layer.array);
     [layer.classes, layer.things, this.ramp].forEach((one, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, one.texture);
     });
-    gl.uniform3fv(this.place("low"), low);
-    gl.uniform3fv(this.place("per_step"), high.map((h, i) => (h - low[i]) / 65535));
-    gl.uniform1ui(this.place("classes"), classes.length);
-    gl.uniform2fv(this.place("depths"), layer.depth_range);
-    gl.uniformMatrix4fv(this.place("clip_from_world"), false, matrices.clip);
-    gl.uniformMatrix4fv(this.place("eye_from_world"), false, matrices.eye);
-    gl.uniform1i(this.place("mode"), mode);
+    gl.uniform3fv(this.at.low, low);
+    gl.uniform3fv(this.at.per_step, high.map((h, i) => (h - low[i]) / 65535));
+    gl.uniform1ui(this.at.classes, classes.length);
+    gl.uniform2fv(this.at.depths, layer.depthRange);
+    gl.uniformMatrix4fv(this.at.clip_from_world, false, matrices.clip);
+    gl.uniformMatrix4fv(this.at.eye_from_world, false, matrices.eye);
+    gl.uniform1i(this.at.mode, mode);
     gl.drawElements(gl.TRIANGLES, layer.triangles(light), gl.UNSIGNED_INT, 0);
     ++this.calls;
   }
   draw(layer, mode, matrices, light = false) {
     this.clear([0.082, 0.094, 0.11, 1]);
-    this.draw_layer(layer, mode, matrices, light);
+    this.drawLayer(layer, mode, matrices, light);
   }
-  /** draw() of whole meshes, waited for: is it slow? */
-  draw_fine(...what) {
+  /// draw() of whole meshes, waited for: is it slow?
+  drawFine(...what) {
     const begin = performance.now();
     this.draw(...what);
     this.gl.readPixels(0, 0, 1, 1, this.gl.RGBA, this.gl.UNSIGNED_BYTE, new Uint8Array(4));
-    this.slow = performance.now() - begin > kSlow_ms;
+    this.isSlow = performance.now() - begin > kSlow_ms;
   }
-  /** [depth in 24 bits, class, object] at a pixel from below, drawn beside the screen; null where nothing is. */
+  /// [depth in 24 bits, class, object] at a pixel from below, drawn beside the screen; null where nothing is.
   read(layer, matrices, x, y) {
-    const gl = this.gl, numbers = [0, 1, 2].map((i) => gl.COLOR_ATTACHMENT0 + i), out = new Uint8Array(4);
+    const {gl} = this;
+    const numbers = [0, 1, 2].map((i) => gl.COLOR_ATTACHMENT0 + i);
+    const out = new Uint8Array(4);
     const kinds = [...numbers.map((at) => [gl.RGBA8, at]), [gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]];
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     const buffers = kinds.map(([format, at]) => {
       const buffer = gl.createRenderbuffer();
       gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
-      gl.renderbufferStorage(gl.RENDERBUFFER, format, canvas.width, canvas.height);
+      gl.renderbufferStorage(gl.RENDERBUFFER, format, gl.canvas.width, gl.canvas.height);
       gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, buffer);
       return buffer;
     });
@@ -321,7 +279,7 @@ class Drawing {
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(x, y, 1, 1);
     this.clear([0, 0, 0, 0]);
-    this.draw_layer(layer, kReading, matrices);
+    this.drawLayer(layer, kReading, matrices);
     const found = numbers.map((at) => {
       gl.readBuffer(at);
       gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, out);

@@ -1,44 +1,39 @@
-// The page put together: state comes in, the parts show it, keys and buttons act.
-import {followState} from './api.js';
-import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys} from './dialogs.js';
-import {byId, safeStorage} from './dom.js';
+// The labelling page put together: state comes in, the parts show it, keys and buttons act.
+import {PictureCamera} from './camera.js';
+import {Settings, ask, askClass, followClicksBeside, keyTable} from './dialogs.js';
+import {byId, onClick, safeStorage} from './dom.js';
 import {Labeller} from './labeller.js';
 import {OverlayEvents} from './model.js';
-import {Bars, Messages, Panel, Strip} from './panel.js';
+import {Page} from './page.js';
+import {Bars, Panel, Strip} from './panel.js';
 import {Pictures} from './pictures.js';
 import {Stage} from './stage.js';
 
-const kRenderPause_ms = 4000;     // between renderings of a view that is only looked at
-const kLost = 'Connection lost, trying again; nothing is lost.';
-const kMoved = 'Another run or a new start answers here: open the address that the program prints; nothing is lost.';
-
-class Page {
+class LabelPage extends Page {
   constructor() {
-    this.changed = this.changed.bind(this);
-    this.redraw = this.redraw.bind(this);
+    super(new PictureCamera());
     this.settings = new Settings();
     this.session = safeStorage('sessionStorage');
-    this.messages = new Messages();
     this.labeller = new Labeller(this);
     this.pictures = new Pictures(this, this.labeller.ids.tab);
     this.overlayEvents = new OverlayEvents();
     this.index = 0;
     this.isRendered = false;
-    this.bars = new Bars(this, this.messages);
+    this.bars = new Bars(this);
     this.strip = new Strip(this);
     this.panel = new Panel(this);
     this.stage = new Stage(this);
+    this.resize();
     this.connect();
-    followState({state: (value, anew) => this.take(value, anew), lost: (error) => this.lose(error)});
+    this.followProgram();
   }
 
   get state() { return this.labeller.state; }
   get classes() { return this.labeller.classes; }
-  get view() { return this.state.views[this.index]; }
+  get view() { return this.state?.views[this.index]; }
 
   take(value, anew) {
     const isFirst = this.state === null;
-    this.isLost = null;
     if (anew && !isFirst) this.pictures.forget();
     this.overlayEvents.tell(value.overlay);
     this.labeller.take(value, anew);
@@ -50,28 +45,6 @@ class Page {
     this.failure = this.state.failure;
     this.messages.hold('trouble', this.state.trouble ? `Not written: ${this.state.trouble}` : '', 'Labelling and training continue, and it is tried again.');
     this.changed();
-  }
-
-  lose(error) {
-    this.isLost = error.status === 403 || error.status === 404 ? kMoved : kLost;
-    this.changed();
-  }
-
-  /// Something shown is another: drawn once, before the next frame.
-  changed() {
-    this.isStale = true;
-    this.redraw();
-  }
-
-  /// The view alone is another: the pointer moved.
-  redraw() {
-    if (this.isScheduled) return;
-    this.isScheduled = true;
-    requestAnimationFrame(() => {
-      this.isScheduled = false;
-      if (this.isStale) this.update();
-      else if (this.state) this.draw();
-    });
   }
 
   update() {
@@ -101,35 +74,7 @@ class Page {
     this.labeller.erase([mark]);
   }
 
-  classOf(name) { return this.labeller.classOf(name); }
-
-  draw() {
-    const {view, labeller} = this;
-    if (!view) return;
-    const overlay = this.pictures.overlay(this.index);
-    if (!document.hidden && (view.ready || this.isRendered)) {
-      this.pictures.want({view: this.index, entropy: this.stage.kind === 'entropy', color: this.isRendered}, this.state.overlay.revision, kRenderPause_ms);
-    }
-    const events = overlay ? this.overlayEvents.known(overlay.revision) : -1;
-    const {proposal} = labeller;
-    this.stage.view.setImage(view.width, view.height);
-    const {port, ratio} = this.stage.view;
-    const view_px = Math.max(view.width, view.height);
-    const photo = this.isRendered && overlay?.color ? null : this.pictures.photo(this.index, view.photo, view_px, view_px * port.scale * (ratio ?? 1));
-    const known = new Map(labeller.marks.map((mark) => [mark.id, mark]));
-    const share = view.width / (overlay?.width ?? view.width);
-    this.stage.drawView({
-      index: this.index,
-      isLocked: view.held_out,
-      picture: photo ?? overlay?.color,
-      overlay,
-      marks: labeller.marks.filter((mark) => mark.view === this.index),
-      others: (overlay?.marks ?? []).filter(({id}) => known.has(id) && known.get(id).view !== this.index).map(({id, points}) => ({
-        ...known.get(id), points: points.map((p) => p.map((v) => v * share)), frame: this.state.views[known.get(id).view].frame})),
-      isPainted: ({id, saved}) => saved && this.labeller.births.isPainted(id, events),
-      ring: proposal?.view === this.index ? proposal.at : null,
-    });
-  }
+  draw() { if (this.view) this.stage.draw(); }
 
   show(view) {
     if (!this.state || !(view >= 0 && view < this.state.views.length)) return;
@@ -137,13 +82,11 @@ class Page {
     Object.assign(this.stage, {cross: null, selected: null, marks: [], others: []});
     this.stage.tools.drop();
     this.session.setItem('semfield.view', view);
-    this.stage.fit();
+    this.camera.fit();
     this.changed();
   }
 
-  choose(name) {
-    if (name !== undefined && name !== null) this.labeller.choose(name);
-  }
+  choose(name) { this.labeller.choose(name); }
 
   chooseByKey(digit) {
     const name = [...this.settings.keysOf(this.classes)].find(([, key]) => key === digit)?.[0];
@@ -204,12 +147,6 @@ class Page {
     else stage.tools.click({points: [stage.cross], radius: this.settings.radius, view: this.index});
   }
 
-  /// Out of what is under way: a polygon, a selection.
-  leave() {
-    this.stage.tools.drop();
-    this.select(null);
-  }
-
   /// The proposal that the person sees, or null: then it says why, or goes there.
   seenProposal(isToBeSeen = true) {
     const {proposal} = this.labeller;
@@ -217,7 +154,7 @@ class Page {
     if (proposal.id !== this.offered) return this.messages.tell('Not stored: another click has just been proposed. Look at it first.');
     if (!isToBeSeen) return proposal;
     if (proposal.view !== this.index) return this.show(proposal.view);
-    return this.stage.isInSight(proposal.at) ? proposal : this.stage.fit();
+    return this.stage.isInSight(proposal.at) ? proposal : this.look('fit');
   }
 
   space() {
@@ -234,17 +171,6 @@ class Page {
     this.labeller.takeProposal(proposal, this.settings.radius);
   }
 
-  skip() {
-    const proposal = this.seenProposal(false);
-    if (proposal) this.labeller.skipProposal(proposal);
-  }
-
-  /// What is shown is another: values of the page or its stage.
-  set(part, values) {
-    Object.assign(part, values);
-    this.changed();
-  }
-
   setRadius(radius) {
     this.settings.set({radius: Math.min(Math.max(radius, 0), 40)});
     this.changed();
@@ -257,13 +183,11 @@ class Page {
 
   connect() {
     const {stage} = this;
-    const actions = actionsOf(this);
-    for (const button of document.querySelectorAll('[data-act]')) button.addEventListener('click', () => actions[button.dataset.act]());
-    const on = (id, act) => byId(id).addEventListener('click', act);
-    on('show-photo', () => this.set(this, {isRendered: false}));
-    on('show-rendered', () => this.set(this, {isRendered: true}));
-    for (const kind of ['labels', 'entropy']) on(`show-${kind}`, () => this.set(stage, {kind, isHidden: false}));
-    on('selection-close', () => this.select(null));
+    this.followKeys(keyTable(this));
+    onClick('show-photo', () => this.set(this, {isRendered: false}));
+    onClick('show-rendered', () => this.set(this, {isRendered: true}));
+    for (const kind of ['labels', 'entropy']) onClick(`show-${kind}`, () => this.set(stage, {kind, isHidden: false}));
+    onClick('selection-close', () => this.select(null));
     byId('opacity').addEventListener('input', () => {
       this.settings.set({opacity: Number(byId('opacity').value)});
       this.set(stage, {isHidden: false});
@@ -272,8 +196,7 @@ class Page {
     document.addEventListener('visibilitychange', this.changed);
 
     followClicksBeside(() => this.messages.tell('Not stored: a window is open over the picture. Answer it first.'));
-    followKeys(actions);
   }
 }
 
-new Page();
+new LabelPage();
