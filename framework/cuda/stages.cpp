@@ -41,6 +41,20 @@ void keep(Workspace& arena, const Samples<float>& samples, View<const float> wei
   keep_samples(samples, weight, least, trace);
 }
 
+ChosenSamples<float> reached(Workspace& arena, const Samples<float>& samples, View<const float> sigma,
+                             const ReachedBy& rule, std::int64_t most) {
+  ChosenSamples<float> chosen;
+  chosen.samples.first = arena.take<std::int32_t>(samples.first.rows, 1);
+  chosen.samples.t = arena.take<float>(most, 1);
+  chosen.samples.delta = arena.take<float>(most, 1);
+  chosen.samples.ray_of_sample = arena.take<std::int32_t>(most, 1);
+  chosen.samples.count = most;
+  chosen.source = arena.take<std::int32_t>(most, 1);
+  const Workspace::Scope scope(arena);
+  reached_samples(samples, sigma, rule, arena.take<std::int32_t>(samples.first.rows - 1, 1), chosen);
+  return chosen;
+}
+
 void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackward<float>& sum) {
   hidden_backward(samples, HiddenBackward<__nv_bfloat16>{sum.weight, as_bf16(sum.hidden), sum.d_out, sum.dots,
                                                          as_bf16(sum.d_hidden), true, sum.blocked});
@@ -67,6 +81,8 @@ Stages<float> make_stages() {
   s.map_positions = cuda::map_positions;
   s.density_forward = cuda::density_forward;
   s.density_backward = cuda::density_backward;
+  s.reached = reached;
+  s.spread = spread_rows;
   s.composite_forward = cuda::composite_forward;
   s.composite_backward = cuda::composite_backward;
   s.fill = cuda::fill;

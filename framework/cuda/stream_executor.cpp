@@ -254,6 +254,7 @@ StreamExecutor::Shape& StreamExecutor::run_step(std::int64_t step, int slot, con
 
 void StreamExecutor::run_again(std::span<const Queued> queued, std::size_t first) {
   room_.give_all();
+  reached_room_.give_all();
   drop_gradients();
   forget_graphs();
   for (std::size_t slot = first; slot < queued.size(); ++slot) {
@@ -286,7 +287,9 @@ StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayB
     color_normaliser_ = color_normaliser(batch);
     const bool leaves_room =
         passes_.size() == 1 && !options_.deterministic && passes_.front().parts().sampler->traits().keeps_to_room;
-    room_.begin(leaves_room ? own.origin.rows * host_.per_ray().front() : 0);
+    const std::int64_t most = leaves_room ? own.origin.rows * host_.per_ray().front() : 0;
+    room_.begin(most);
+    reached_room_.begin(most);
   }
   sums_->reserve();
   std::int64_t labelled = 0;  // rays of a part at most, those behind others included
@@ -383,6 +386,7 @@ void StreamExecutor::forget_step() {
 // Halves a part until it fits; what that took says what a ray takes. Parameters stay as they are.
 Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
   room_.give_all();
+  reached_room_.give_all();
   const std::int64_t rays = tile_rays(rays_);
   // Forward and backward of the first rays of each part; the arenas' high-water marks say what they took.
   const auto fits = [&](std::int64_t first) {
@@ -442,7 +446,7 @@ class StreamExecutor::Walk final : public StepExecutor<float> {
     cuda::add_losses(arena, owner_.losses_, which, {targets, values, gradients}, sums(pass));
   }
   void count(std::size_t pass, const PassTrace<float>& trace) override {
-    count_samples(trace.samples.first, trace.sigma, sums(pass));
+    count_samples(trace.samples.first, trace.drawn.first, trace.sigma, sums(pass));
   }
   View<float> encoded_gradient(std::size_t, const PassTrace<float>& trace, Workspace& arena) override {
     return arena.take<float>(trace.encoded.rows, trace.encoded.cols);
@@ -507,6 +511,7 @@ void StreamExecutor::walk(const Shape& shape, std::int64_t step, std::int64_t mo
     rays.batch.direction = direction;
   }
   rays.room = room_.rows();
+  rays.reached_room = reached_room_.rows();
   rays.semantic_rays = std::min(shape.semantic_rays, count);
   rays.first_color = batch.without_color();
   Walk executor(*this, shape, ctx);
@@ -611,9 +616,13 @@ StepResults StreamExecutor::finish() {
     drop_gradients();
     synchronize();
   } else {
-    std::int64_t samples = 0;
-    for (const StepSums& sums : staging_->sums(queued.size())) samples = std::max(samples, sums.pass[0].samples);
-    if (room_.saw(samples)) {
+    std::int64_t drawn = 0, samples = 0;
+    for (const StepSums& sums : staging_->sums(queued.size())) {
+      drawn = std::max(drawn, sums.pass[0].drawn);
+      samples = std::max(samples, sums.pass[0].samples);
+    }
+    const bool changed = room_.saw(drawn);
+    if (reached_room_.saw(samples) || changed) {
       forget_graphs();
       forget_step();
     }

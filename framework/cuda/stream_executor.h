@@ -114,7 +114,7 @@ class StreamExecutor final : public Executor<float> {
   std::vector<Pass<float>> passes_;
   std::optional<CameraCorrections<float>> cameras_;
   std::unique_ptr<GradientSums> sums_;
-  SampleRoom room_;
+  SampleRoom room_, reached_room_;  // of samples that are drawn, and that light reaches
   std::unique_ptr<BatchDrawer> drawer_;
   std::vector<std::string> notes_;
   bool told_of_pixels_ = false;

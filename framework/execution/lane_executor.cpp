@@ -431,6 +431,18 @@ void LaneExecutor<Real>::draw_ahead(std::int64_t step, const RayBatch& batch, st
     samples.ray_of_sample = {a.ray_of_sample.data() + tile * capacity, capacity, 1};
     samples.first = {a.first.data() + tile * (pipeline_.tile_rays() + 1), rays.origin.rows + 1, 1};
     pass.sample(ctx, rays, nullptr, samples);
+    const Workspace::Scope scratch(arena);
+    SampledTile<Real> all;
+    all.samples = samples;
+    all.per_ray = pipeline_.per_ray()[0];
+    const SampledTile<Real> reached = pass.reached(ctx, kMainGradient, rays, all, 0);
+    if (!reached.reached) return;
+    a.tiles[static_cast<std::size_t>(tile)].reached = true;
+    samples.count = reached.samples.count;
+    std::copy_n(reached.samples.t.data, samples.count, samples.t.data);
+    std::copy_n(reached.samples.delta.data, samples.count, samples.delta.data);
+    std::copy_n(reached.samples.ray_of_sample.data, samples.count, samples.ray_of_sample.data);
+    std::copy_n(reached.samples.first.data, samples.first.rows, samples.first.data);
   });
   // Lane after lane, as the encoder's gradients are summed. Lane l has the tiles l, l + lanes, ... Those of other
   // processes have no rows here.

@@ -178,6 +178,7 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
   PassRequest request;
   request.semantic_rays = call.semantic_rays;
   request.room = call.room;
+  request.reached_room = call.reached_room;
   Proposal<Real> proposal;
   PassTrace<Real> previous;
   for (std::size_t p = 0; p < passes.size(); ++p) {

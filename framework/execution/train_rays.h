@@ -151,6 +151,7 @@ struct TrainedRays {
   int lane = kMainGradient;                          ///< where gradients of parameters go
   std::int64_t semantic_rays = 0;                    ///< the first of them, which get logits
   std::int64_t first_color = 0;                      ///< the first ray that has a part in the colour loss
+  std::int64_t reached_room = 0;                     ///< PassRequest::reached_room
   std::int64_t room = 0;                             ///< PassRequest::room
 };
 

@@ -92,6 +92,54 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
 template <class Real>
 PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
                                     const SampledTile<Real>& tile, const PassRequest& request) const {
+  PassTrace<Real> trace = forward_all(ctx, lane, rays, reached(ctx, lane, rays, tile, request.reached_room), request);
+  trace.drawn = tile.samples;
+  return trace;
+}
+
+// Densities come in rounds: a ray is asked for as many further samples as it has had, so that at most twice as many are
+// asked for as light reaches.
+template <class Real>
+SampledTile<Real> Pass<Real>::reached(const StepContext& ctx, int lane, const Rays<Real>& rays,
+                                      const SampledTile<Real>& tile, std::int64_t room) const {
+  constexpr std::int64_t kFirstRound = 16;
+  if (!ctx.training || rules_.rendering.training_stop <= 0 || tile.reached) return tile;
+  Workspace& arena = *ctx.workspace;
+  const std::int64_t count = tile.samples.count, most = room > 0 ? std::min(room, count) : count;
+  const View<Real> sigma = arena.take<Real>(count, 1);
+  stages_->fill(sigma, Real(0));
+  DensityRule rule = density_rule(ctx);
+  rule.deviation = 0;
+  const auto located = [&](const Samples<Real>& samples) {
+    const View<double> x = arena.take<double>(samples.count, 3);
+    locate(ctx, rays, samples, x);
+    return x;
+  };
+  ReachedBy part{0, kFirstRound, rules_.rendering.training_stop};
+  for (; part.begin < tile.per_ray; part.begin = part.end, part.end *= 2) {
+    const Workspace::Scope scope(arena);
+    const std::int64_t of_round = part.begin == 0 ? std::min(count, kFirstRound * rays.origin.rows) : most;
+    const ChosenSamples<Real> chosen = stages_->reached(arena, tile.samples, sigma, part, of_round);
+    const LiveRows<Real> live(*stages_, chosen.samples);
+    const View<Real> encoded = arena.take<Real>(chosen.samples.count, encoded_dims());
+    encode(ctx, lane, located(chosen.samples), encoded);
+    const View<Real> raw = arena.take<Real>(chosen.samples.count, 1);
+    parts_.field->forward(ctx, store_->tensors(field_, lane), {.position = encoded}, {.sigma = raw}, {});
+    stages_->density_forward(rule, &chosen.samples, raw, raw);
+    stages_->spread(chosen, raw, sigma);
+  }
+  SampledTile<Real> out;
+  out.samples = stages_->reached(arena, tile.samples, sigma, {0, tile.per_ray, part.least}, most).samples;
+  out.per_ray = tile.per_ray;
+  out.reached = true;
+  const LiveRows<Real> live(*stages_, out.samples);
+  out.x = located(out.samples);
+  return out;
+}
+
+template <class Real>
+PassTrace<Real> Pass<Real>::forward_all(const StepContext& ctx, int lane, const Rays<Real>& rays,
+                                        const SampledTile<Real>& tile, const PassRequest& request) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows, count = tile.samples.count;
   const LiveRows<Real> live(*stages_, tile.samples);

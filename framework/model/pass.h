@@ -64,6 +64,7 @@ struct PassParts {
 template <class Real>
 struct PassTrace {
   Samples<Real> samples;
+  Samples<Real> drawn;   ///< of which these are; the same, unless rendering.training_stop left some out
   View<double> x;        ///< [M, 3] encoder coordinates
   View<Real> encoded;    ///< [M, Dp]
   View<Real> direction;  ///< [R, Dd]
@@ -111,6 +112,7 @@ struct SampledTile {
   View<double> x;            ///< [M, 3] encoder coordinates
   View<Real> encoded;        ///< [M, Dp]
   std::int64_t per_ray = 0;  ///< most samples of a ray
+  bool reached = false;      ///< what training leaves out is left out
 };
 
 /// What a call of Pass::forward is asked for.
@@ -119,6 +121,7 @@ struct PassRequest {
   bool colors = true;              ///< false: weights alone are wanted, for a later pass
   bool heads = false;              ///< channels of PassParts::heads are wanted, of every ray
   std::int64_t room = 0;  ///< for samples, on a device (SamplerTraits::keeps_to_room); 0: for as many as there can be
+  std::int64_t reached_room = 0;  ///< the same for samples that light reaches
 };
 
 /// Samples that a ray advances in rendering before early stop is tested.
@@ -161,6 +164,10 @@ class Pass {
     parts_.position->forward(ctx, store_->tensors(position_, lane), x, encoded);
   }
   std::int32_t encoded_dims() const { return parts_.position->traits().out_dims; }
+  /// The samples of a tile that light reaches, with their coordinates, where training leaves out the others
+  /// (rendering.training_stop); else the tile. At most `room` of them on a device, 0: all.
+  SampledTile<Real> reached(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
+                            std::int64_t room) const;
   /// The rest of forward.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
                           const PassRequest& request) const;
@@ -243,6 +250,8 @@ class Pass {
   void point_backward(const StepContext& ctx, int lane, const PointTrace<Real>& trace, View<const Real> d_logits) const;
 
  private:
+  PassTrace<Real> forward_all(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
+                              const PassRequest& request) const;
   void evaluate(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const;
   void evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const;
   void composite(const StepContext& ctx, int lane, PassTrace<Real>& trace) const;

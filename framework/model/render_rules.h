@@ -46,6 +46,7 @@ struct RenderingParams {
   double density_noise = 0;
   std::vector<double> background{0, 0, 0};
   double early_stop = 1e-4;
+  double training_stop = 0;
   double scene_scale = 0;
   double unit_m = 0;
   Outside outside = Outside::nothing;
@@ -60,6 +61,10 @@ inline void describe(ParamVisitor& visit, RenderingParams& p) {
   SEMFIELD_PARAM(visit, p, background, "colour behind everything, three values in [0, 1]", {0, 1});
   SEMFIELD_PARAM(visit, p, early_stop,
                  "transmittance below which rendering stops a ray; the error is at most this share; 0: never",
+                 {0, 0.1});
+  SEMFIELD_PARAM(visit, p, training_stop,
+                 "transmittance below which training leaves out a ray's further samples; it asks for densities "
+                 "first, which is worth it where rays continue behind surfaces [Mueller22 App. E.2]; 0: never",
                  {0, 0.1});
   SEMFIELD_PARAM(visit, p, scene_scale,
                  "factor from metres to a metric encoder's coordinates [Zhi21: 0.1]; 0: from the scene's bounds",

@@ -105,6 +105,42 @@ void add(View<const Real> from, View<Real> to) {
 }
 
 template <class Real>
+ChosenSamples<Real> reached(Workspace& arena, const Samples<Real>& samples, View<const Real> sigma,
+                            const ReachedBy& rule, std::int64_t most) {
+  ChosenSamples<Real> chosen;
+  Samples<Real>& out = chosen.samples;
+  out.first = arena.take<std::int32_t>(samples.first.rows, 1);
+  out.t = arena.take<Real>(most, 1);
+  out.delta = arena.take<Real>(most, 1);
+  out.ray_of_sample = arena.take<std::int32_t>(most, 1);
+  chosen.source = arena.take<std::int32_t>(most, 1);
+  const double deepest = -std::log(rule.least);
+  for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
+    out.first(r, 0) = static_cast<std::int32_t>(out.count);
+    const std::int64_t begin = samples.first(r, 0),
+                       end = std::min<std::int64_t>(samples.first(r + 1, 0), begin + rule.end);
+    double depth = 0;
+    for (std::int64_t m = begin; m < end && depth <= deepest; ++m) {
+      if (m - begin >= rule.begin) {
+        SEMFIELD_CHECK(out.count < most, "more samples than there is room for");
+        out.t(out.count, 0) = samples.t(m, 0);
+        out.delta(out.count, 0) = samples.delta(m, 0);
+        out.ray_of_sample(out.count, 0) = static_cast<std::int32_t>(r);
+        chosen.source(out.count++, 0) = static_cast<std::int32_t>(m);
+      }
+      depth += optical_depth(sigma(m, 0), samples.delta(m, 0));
+    }
+  }
+  out.first(samples.first.rows - 1, 0) = static_cast<std::int32_t>(out.count);
+  return chosen;
+}
+
+template <class Real>
+void spread(const ChosenSamples<Real>& chosen, View<const Real> from, View<Real> to) {
+  for (std::int64_t k = 0; k < chosen.samples.count; ++k) to(chosen.source(k, 0), 0) = from(k, 0);
+}
+
+template <class Real>
 void keep(Workspace& arena, const Samples<Real>& samples, View<const Real> weight, Real least, std::int64_t,
           BranchTrace<Real>& trace) {
   const std::int64_t rays = trace.share.rows;
@@ -256,6 +292,8 @@ Stages<Real> make_stages() {
   s.fill = fill<Real>;
   s.count_up = count_up;
   s.add = add<Real>;
+  s.reached = reached<Real>;
+  s.spread = spread<Real>;
   s.keep = keep<Real>;
   s.join = join<Real>;
   s.drop_out = drop_out<Real>;

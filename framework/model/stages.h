@@ -32,6 +32,20 @@ struct BranchTrace {
   Saved saved;
 };
 
+/// Samples begin <= k < end of every ray that light reaches: those in front of which the transmittance is `least` or
+/// more.
+struct ReachedBy {
+  std::int64_t begin = 0, end = 0;
+  double least = 0;
+};
+
+/// Samples of some, in order; lives in the tile's workspace.
+template <class Real>
+struct ChosenSamples {
+  Samples<Real> samples;
+  View<std::int32_t> source;  ///< [K, 1] number among those that they were chosen from
+};
+
 /// Values that the end of a stage looks at.
 enum class Guarded : std::uint8_t {
   encoded_position,
@@ -137,6 +151,11 @@ struct Stages {
                           View<Real> sigma) = nullptr;
   void (*density_backward)(const DensityRule& rule, View<const Real> raw, View<const Real> d_sigma,
                            View<Real> d_raw) = nullptr;
+  /// At most `most` samples into `arena`; a ray without any stays, with none. More are a fault of the device's room.
+  ChosenSamples<Real> (*reached)(Workspace& arena, const Samples<Real>& samples, View<const Real> sigma,
+                                 const ReachedBy& rule, std::int64_t most) = nullptr;
+  /// to(source(k)) = from(k), [K, 1].
+  void (*spread)(const ChosenSamples<Real>& chosen, View<const Real> from, View<Real> to) = nullptr;
   void (*composite_forward)(const CompositeIn<Real>& in, const CompositeOut<Real>& out) = nullptr;
   void (*composite_backward)(const CompositeIn<Real>& in, const CompositeOut<Real>& out,
                              const CompositeGrad<Real>& grad, View<Real> d_sigma, View<Real> d_rgb,

@@ -601,5 +601,20 @@ TEST(CudaSampleRoom, ShrinksWhereMostIsUnusedAndTrainingGoesOn) {
   EXPECT_LT(std::abs(color - same), 0.3 * same);
 }
 
+// Most samples lie in the dark; light is left out below rounding. What steps see is then what all samples make.
+TEST(CudaSampleRoom, SamplesInTheDarkAreLeftOutAndHaveRoomOfTheirOwn) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const std::string dense = replaced(roomy_config(), "rendering: {", "rendering: {density_bias: 15, unit_m: 0.25, ");
+  TestRun all(dense + "runtime: {device: cuda}\n", registry);
+  TestRun reached(replaced(dense, "rendering: {", "rendering: {training_stop: 1e-9, ") + "runtime: {device: cuda}\n",
+                  registry);
+  const StepLosses want = all.to(1), got = reached.to(1);
+  EXPECT_NEAR(got.total, want.total, 1e-5 * want.total);
+  EXPECT_LT(2 * got.samples, want.samples);
+  const StepLosses later = reached.to(160), without = all.to(160);
+  EXPECT_LT(std::abs(later.color - without.color), 0.3 * without.color);
+}
+
 }  // namespace
 }  // namespace semfield

@@ -9,6 +9,7 @@
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/compositor.h"
+#include "model/stages.h"
 #include "testkit/compare.h"
 #include "tests/model/rays_of_slabs.h"
 #include "tests/session/step_configs.h"
@@ -267,6 +268,57 @@ TEST(CudaCompositor, DetachedHiddenLeavesDensityAlone) {
   EXPECT_EQ(device.d_sigma.read(), std::vector<float>(53, 0.F));
   const std::vector<float> weight = device.weight.read(), d_hidden = device.d_hidden.read();
   for (std::size_t k = 0; k < 8; ++k) EXPECT_EQ(d_hidden[12 * k + 2], weight[k] * host.g_hidden[2]);
+}
+
+template <class T>
+std::vector<T> fetched(View<T> there, std::int64_t rows) {
+  std::vector<T> values(static_cast<std::size_t>(rows));
+  cuda::download<T>(there.data, values);
+  cuda::synchronize();
+  return values;
+}
+
+template <class T>
+std::vector<T> values_of(View<T> here, std::int64_t rows) {
+  return std::vector<T>(here.data, here.data + rows);
+}
+
+TEST(CudaCompositor, LightReachesTheSamplesThatItReachesOnTheProcessor) {
+  SEMFIELD_ON_DEVICE(launch);
+  const std::vector<int> counts{0, 1, 40, 33, 1000, 0, 64, 3};
+  RayBuffers<float> host(counts, 0);
+  host.space_evenly(2);
+  TestNumbers random{11};
+  for (float& s : host.sigma) s = static_cast<float>(random.in(0, 12));
+  host.sigma[3] = 1e30F;
+  const DeviceRays device(host, 50, 0);
+  Workspace here;
+  for (const ReachedBy part : {ReachedBy{0, 16, 1e-4}, {16, 32, 1e-4}, {32, 2000, 1e-4}, {0, 2000, 1e-4}}) {
+    const ChosenSamples<float> want =
+        cpu_stages<float>().reached(here, host.samples, host.col(host.sigma), part, host.rows());
+    const std::int64_t count = want.samples.count;
+    ASSERT_GT(count, 0);
+    for (const std::int64_t room : {count, count + 100}) {
+      const ChosenSamples<float> got =
+          cuda::stages().reached(launch.arena(), device.samples, device.sigma.read_only(), part, room);
+      EXPECT_EQ(fetched(got.samples.first, host.rays() + 1), values_of(want.samples.first, host.rays() + 1));
+      EXPECT_EQ(fetched(got.source, count), values_of(want.source, count));
+      EXPECT_EQ(fetched(got.samples.t, count), values_of(want.samples.t, count));
+      EXPECT_EQ(fetched(got.samples.delta, count), values_of(want.samples.delta, count));
+      EXPECT_EQ(fetched(got.samples.ray_of_sample, count), values_of(want.samples.ray_of_sample, count));
+      DeviceMatrix<float> sigma(std::vector<float>(static_cast<std::size_t>(host.rows()), -1.0F), 1);
+      cuda::stages().spread(got, got.samples.t, sigma.view());
+      std::vector<float> spread(static_cast<std::size_t>(host.rows()), -1.0F);
+      for (std::int64_t k = 0; k < count; ++k)
+        spread[static_cast<std::size_t>(want.source(k, 0))] = want.samples.t(k, 0);
+      EXPECT_EQ(sigma.read(), spread);
+    }
+    EXPECT_EQ(launch.take_fault(), std::nullopt);
+    (void)cuda::stages().reached(launch.arena(), device.samples, device.sigma.read_only(), part, count - 1);
+    const auto fault = launch.take_fault();
+    ASSERT_TRUE(fault.has_value());
+    EXPECT_EQ(fault->stage, cuda::Stage::room);
+  }
 }
 
 TEST(CudaCompositor, OutputsThatNobodyWantsAreLeftOut) {

@@ -11,6 +11,7 @@
 #include "core/rng.h"
 #include "model/compositor.h"
 #include "model/losses/loss_list.h"
+#include "model/stages.h"
 #include "rays_of_slabs.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
@@ -81,6 +82,46 @@ TEST(CompositorGradient, DotsStandForHiddenActivationsOfTheFirstRays) {
   composite_backward(in, rays.out(), grad, rays.col(rays.d_sigma), {}, {});
   for (std::size_t k = 0; k < whole.size(); ++k)
     EXPECT_NEAR(rays.d_sigma[k], whole[k], 1e-5 * (1 + std::abs(whole[k]))) << k;
+}
+
+// Rounds of part of each ray, or all at once: the samples in front of which 1e-3 of the light is left, which are those
+// that weigh something.
+TYPED_TEST(Compositor, LightReachesTheSamplesInFrontOfTheDark) {
+  RayBuffers<TypeParam> rays({0, 1, 40, 33, 0, 100}, 0);
+  rays.space_evenly(2);
+  TestNumbers random{11};
+  for (auto& s : rays.sigma) s = static_cast<TypeParam>(random.in(0, 20));
+  rays.sigma[3] = TypeParam(1e30);
+  rays.forward();
+  const Stages<TypeParam>& stages = cpu_stages<TypeParam>();
+  std::vector<std::int32_t> in_rounds, at_once;
+  Workspace arena;
+  for (const ReachedBy part : {ReachedBy{0, 8, 1e-3}, {8, 16, 1e-3}, {16, 200, 1e-3}, {0, 200, 1e-3}}) {
+    const Workspace::Scope scope(arena);
+    const ChosenSamples<TypeParam> chosen =
+        stages.reached(arena, rays.samples, rays.col(rays.sigma), part, rays.rows());
+    ASSERT_EQ(chosen.samples.first(rays.rays(), 0), chosen.samples.count);
+    for (std::int64_t k = 0; k < chosen.samples.count; ++k) {
+      const std::int32_t m = chosen.source(k, 0), ray = rays.ray[static_cast<std::size_t>(m)];
+      EXPECT_EQ(chosen.samples.t(k, 0), rays.t[static_cast<std::size_t>(m)]);
+      EXPECT_EQ(chosen.samples.delta(k, 0), rays.delta[static_cast<std::size_t>(m)]);
+      EXPECT_EQ(chosen.samples.ray_of_sample(k, 0), ray);
+      EXPECT_LE(chosen.samples.first(ray, 0), k);
+      EXPECT_GT(chosen.samples.first(ray + 1, 0), k);
+      (part.end == 200 && part.begin == 0 ? at_once : in_rounds).push_back(m);
+    }
+  }
+  std::sort(in_rounds.begin(), in_rounds.end());
+  EXPECT_EQ(in_rounds, at_once);
+  for (std::int32_t r = 0; r < rays.rays(); ++r) {
+    double passed = 1;
+    for (std::int32_t m = rays.first[static_cast<std::size_t>(r)]; m < rays.first[static_cast<std::size_t>(r) + 1];
+         ++m) {
+      const bool chosen = std::binary_search(at_once.begin(), at_once.end(), m);
+      EXPECT_TRUE(chosen == (passed > 1e-3) || std::abs(passed - 1e-3) < 1e-6) << "ray " << r << ", sample " << m;
+      passed -= static_cast<double>(rays.weight[static_cast<std::size_t>(m)]);
+    }
+  }
 }
 
 TEST(CompositorGradient, RaysDoNotTouchEachOther) {

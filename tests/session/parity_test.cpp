@@ -68,6 +68,17 @@ TEST(Parity, DeferredClassLayer) { expect_unchanged_without("deferred_class_laye
 TEST(Parity, FoldedFeatureLayer) { expect_unchanged_without("fold_feature_layer"); }
 TEST(Parity, DirectionOncePerRay) { expect_unchanged_without("direction_once_per_ray"); }
 
+// Matter so dense that most samples lie in the dark, which hides nothing but rounding.
+TEST(Parity, SamplesThatLightDoesNotReachAreLeftOut) {
+  const std::string all = replaced(hash_config(), "rendering: {", "rendering: {density_bias: 15, unit_m: 0.25, ");
+  const std::string reached = replaced(all, "rendering: {", "rendering: {training_stop: 1e-14, ");
+  expect_same_gradients(reached, all);
+  Oracle few(reached), many(all);
+  const std::int64_t samples = few.gradients().samples;
+  EXPECT_GT(samples, 0);
+  EXPECT_LT(2 * samples, many.gradients().samples);
+}
+
 TEST(PipelineGradient, OfBothNetworksWithSemantics) {
   expect_finite_differences(one_pass_config(), 2e-4);
   expect_finite_differences(stratified_config("type: analytic_room", "", "rays: 24"), 2e-4);

@@ -332,6 +332,72 @@ __global__ void __launch_bounds__(kRayThreads)
   if (at.lane == 0) kept.share(at.ray, 0) = share;
 }
 
+// Calls `take(m, place)` of a lane's sample m, the place-th that is reached, and gives how many there are. A ray ends
+// where light does, so that a warp reads little more than it finds.
+template <class Take>
+__device__ std::int32_t walk_reached(const WarpRay& at, const Samples<float>& samples, View<const float> sigma,
+                                     const ReachedBy& rule, double deepest, const Take& take) {
+  const std::int32_t end = static_cast<std::int32_t>(min(static_cast<std::int64_t>(at.end), at.begin + rule.end));
+  const std::int64_t begin = at.begin + rule.begin;
+  std::int32_t found = 0;
+  double in_front = 0;
+  for (std::int32_t base = at.begin; base < end && in_front <= deepest; base += kWarp) {
+    const std::int32_t m = base + at.lane;
+    const double own = m < end ? optical_depth(sigma(m, 0), samples.delta(m, 0)) : 0.0;
+    const double behind = in_front + warp_prefix(own, at.lane);
+    const double before = __shfl_up_sync(kFullMask, behind, 1);
+    const bool is_reached = m < end && m >= begin && (at.lane == 0 ? in_front : before) <= deepest;
+    const unsigned all = __ballot_sync(kFullMask, is_reached);
+    if (is_reached) take(m, found + __popc(all & ((1U << at.lane) - 1)));
+    found += __popc(all);
+    in_front = __shfl_sync(kFullMask, behind, kWarp - 1);
+  }
+  return found;
+}
+
+// A warp per ray, 8 B per sample.
+__global__ void __launch_bounds__(kRayThreads)
+    count_reached_kernel(Samples<float> samples, View<const float> sigma, ReachedBy rule, double deepest,
+                         View<std::int32_t> counts) {
+  const WarpRay at(samples.first);
+  if (!at.exists()) return;
+  const std::int32_t found = walk_reached(at, samples, sigma, rule, deepest, [](std::int32_t, std::int32_t) {});
+  if (at.lane == 0) counts(at.ray, 0) = found;
+}
+
+struct CountReached {
+  View<const std::int32_t> counts;
+  __device__ std::int32_t operator()(std::int64_t ray, FaultKey*) const { return counts(ray, 0); }
+};
+
+// A warp per ray, 8 B per sample and 20 B moved of one that is reached.
+__global__ void __launch_bounds__(kRayThreads)
+    take_reached_kernel(Samples<float> samples, View<const float> sigma, ReachedBy rule, double deepest,
+                        ChosenSamples<float> chosen) {
+  const WarpRay at(samples.first);
+  fill_unused_rows(chosen.samples, at.rays);
+  for (std::int64_t k = chosen.samples.first(at.rays, 0) + thread_index(); k < chosen.samples.count;
+       k += grid_threads())
+    chosen.source(k, 0) = 0;
+  if (!at.exists()) return;
+  const std::int32_t first = chosen.samples.first(at.ray, 0), room = chosen.samples.first(at.ray + 1, 0) - first;
+  walk_reached(at, samples, sigma, rule, deepest, [&](std::int32_t m, std::int32_t place) {
+    if (place >= room) return;
+    const std::int32_t k = first + place;
+    chosen.samples.t(k, 0) = samples.t(m, 0);
+    chosen.samples.delta(k, 0) = samples.delta(m, 0);
+    chosen.samples.ray_of_sample(k, 0) = static_cast<std::int32_t>(at.ray);
+    chosen.source(k, 0) = m;
+  });
+}
+
+// 12 B per row.
+__global__ void __launch_bounds__(kThreads)
+    spread_kernel(ChosenSamples<float> chosen, View<const float> from, View<float> to) {
+  const std::int64_t k = thread_index();
+  if (k < chosen.samples.first(chosen.samples.first.rows - 1, 0)) to(chosen.source(k, 0), 0) = from(k, 0);
+}
+
 // A warp a row of the input, 8 B a value.
 __global__ void __launch_bounds__(kThreads)
     join_kernel(BranchTrace<float> trace, View<const float> position, View<const float> feature) {
@@ -476,6 +542,22 @@ void keep_samples(const Samples<float>& samples, View<const float> weight, float
   if (rays == 0) return;
   queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
   queue("samples of a semantic branch", ray_blocks(rays), kRayThreads, keep_kernel, samples, weight, least, kept);
+}
+
+void reached_samples(const Samples<float>& samples, View<const float> sigma, const ReachedBy& rule,
+                     View<std::int32_t> counts, const ChosenSamples<float>& chosen) {
+  const std::int64_t rays = counts.rows;
+  if (rays == 0) return;
+  const double deepest = -std::log(rule.least);
+  queue("counting samples that are reached", ray_blocks(rays), kRayThreads, count_reached_kernel, samples, sigma, rule,
+        deepest, counts);
+  queue_offsets(CountReached{counts}, rays, chosen.samples.first, chosen.samples.count);
+  queue("samples that are reached", ray_blocks(rays), kRayThreads, take_reached_kernel, samples, sigma, rule, deepest,
+        chosen);
+}
+
+void spread_rows(const ChosenSamples<float>& chosen, View<const float> from, View<float> to) {
+  queue("densities of samples", blocks_of(chosen.samples.count, kThreads), kThreads, spread_kernel, chosen, from, to);
 }
 
 void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {

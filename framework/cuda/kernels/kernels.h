@@ -160,6 +160,7 @@ struct LossSums {
   std::int64_t labelled = 0;
   std::int64_t correct = 0;
   std::int64_t samples = 0;  ///< in use
+  std::int64_t drawn = 0;    ///< of which they are
   std::int32_t dense = 0;    ///< 1: some sample has density
 };
 
@@ -178,8 +179,9 @@ void semantic_cross_entropy(Workspace& arena, View<const float> logits, const Se
 /// *total = the sum of `count` numbers, all device memory, in an order that depends on `count` alone.
 void sum_in_order(const double* numbers, std::int64_t count, double* total);
 
-/// sums->samples = first[R], sums->dense = any sigma > 0.
-void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums);
+/// sums->samples = first[R], sums->drawn = drawn[R], sums->dense = any sigma > 0.
+void count_samples(View<const std::int32_t> first, View<const std::int32_t> drawn, View<const float> sigma,
+                   LossSums* sums);
 
 /// As Stages::class_results.
 void class_results(View<float> logits, const ClassResults<float>& results);
@@ -236,6 +238,12 @@ const Stages<float>& stages();
 const HeadKernels<float>& head_kernels();
 const CameraKernels<float>& camera_kernels();
 
+/// As Stages::reached, in views whose memory is there; `counts` [R, 1] is scratch. Rows behind those chosen get
+/// t = delta = source = 0 and the last ray's number.
+void reached_samples(const Samples<float>& samples, View<const float> sigma, const ReachedBy& rule,
+                     View<std::int32_t> counts, const ChosenSamples<float>& chosen);
+/// As Stages::spread.
+void spread_rows(const ChosenSamples<float>& chosen, View<const float> from, View<float> to);
 /// As Stages::keep, in views of `most` rows whose memory is there: kept.first, t, delta and ray_of_sample, source,
 /// weight, and a ray's sum of weights into share. Rows behind the kept ones get t = delta = weight = source = 0 and the
 /// last ray's number.

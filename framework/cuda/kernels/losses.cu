@@ -43,8 +43,8 @@ __global__ void __launch_bounds__(kThreads) total_kernel(const double* of_block,
 }
 
 // One block; it stops at the first 4 kThreads samples among which one has density. At most 4 B per sample.
-__global__ void __launch_bounds__(kThreads)
-    count_kernel(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
+__global__ void __launch_bounds__(kThreads) count_kernel(View<const std::int32_t> first, View<const std::int32_t> drawn,
+                                                         View<const float> sigma, LossSums* sums) {
   const std::int32_t count = first(first.rows - 1, 0);
   int dense = 0;
   for (std::int32_t begin = 0; begin < count && dense == 0; begin += 4 * kThreads) {
@@ -56,6 +56,7 @@ __global__ void __launch_bounds__(kThreads)
   }
   if (threadIdx.x != 0) return;
   sums->samples = count;
+  sums->drawn = drawn(drawn.rows - 1, 0);
   sums->dense = dense;
 }
 
@@ -258,8 +259,9 @@ void sum_in_order(const double* numbers, std::int64_t count, double* total) {
   queue("sum of a loss", 1, kThreads, total_kernel, numbers, count, total);
 }
 
-void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
-  queue("counting samples", 1, kThreads, count_kernel, first, sigma, sums);
+void count_samples(View<const std::int32_t> first, View<const std::int32_t> drawn, View<const float> sigma,
+                   LossSums* sums) {
+  queue("counting samples", 1, kThreads, count_kernel, first, drawn, sigma, sums);
 }
 
 void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,

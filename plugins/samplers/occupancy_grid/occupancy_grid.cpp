@@ -20,7 +20,8 @@ void bad_density(const double* position, double sigma) {
 }
 namespace {
 
-constexpr std::int64_t kSamplesOnCpu = 128, kSamplesOnGpu = 256;  // docs/decisions.md, 0036
+// docs/decisions.md, 0036. Where steps grow, a ray passes all of space.
+constexpr std::int64_t kSamplesOnCpu = 128, kSamplesOnGpu = 256, kGrowingSamplesOnGpu = 512;
 
 constexpr double kPadding = 0.01;  // of the longest side: walls lie on the bounds and must not lie on the grid's faces
 constexpr double kLeastSide = 0.02;    // of the longest side: a flat scene still gets cells with volume
@@ -100,7 +101,8 @@ void validate(const OccupancyGridParams& params, Diagnostics& diagnostics) {
 
 void choose_for(OccupancyGridParams& params, Device device, std::vector<std::string>& chosen) {
   if (params.max_samples != 0) return;
-  params.max_samples = device == Device::cpu ? kSamplesOnCpu : kSamplesOnGpu;
+  const std::int64_t on_gpu = params.growth > 0 ? kGrowingSamplesOnGpu : kSamplesOnGpu;
+  params.max_samples = device == Device::cpu ? kSamplesOnCpu : on_gpu;
   chosen.push_back("max_samples was set to " + std::to_string(params.max_samples) + ", which suits a " +
                    (device == Device::cpu ? "CPU" : "GPU"));
 }
