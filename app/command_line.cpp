@@ -417,6 +417,7 @@ const std::map<std::string, std::string> kGone{{"bench label", "studies/labellin
                                                {"bench pairs", "studies/leave_out.py"},
                                                {"bench quadrature", "studies/quadrature.py"},
                                                {"capture", "pack CONFIG --format replica"},
+                                               {"check-numerics", "bench numerics"},
                                                {"classes", "labels classes"},
                                                {"completion", "help --completion"},
                                                {"degrade", "labels degrade"},

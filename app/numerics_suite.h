@@ -1,4 +1,4 @@
-// What the suite of stiff and extreme cases hands to `check-numerics`: the suite is a library of its own, loaded when
+// What the suite of stiff and extreme cases hands to `bench numerics`: the suite is a library of its own, loaded when
 // asked for.
 #pragma once
 

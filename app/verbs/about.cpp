@@ -501,11 +501,11 @@ int run(const HelpOptions& options, AppContext& context) {
 
 Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", run)); }
 
-// check-numerics: the stiff and extreme cases as a table or a JSON object.
+// bench numerics: the stiff and extreme cases as a table or a JSON object.
 
 namespace {
 
-struct CheckNumericsOptions : Options {
+struct NumericsOptions : Options {
   using Options::Options;
   const std::vector<std::string>& only = list("--only LIST", "case ids or prefixes of them: --only A,C03");
 };
@@ -579,7 +579,7 @@ Json results(const std::vector<NumericsRow>& rows, int passed, int failed, int a
   return out;
 }
 
-int run(const CheckNumericsOptions& options, AppContext& context) {
+int run(const NumericsOptions& options, AppContext& context) {
   const auto suite = reinterpret_cast<NumericsSuite>(
       part_symbol("semfield_numerics", kNumericsSuiteSymbol, "the suite of numerical cases cannot be loaded"));
   std::vector<NumericsRow> rows;
@@ -589,16 +589,16 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
   const int absent = counts.at(NumericsStatus::absent);
   print_results(
       context, results(rows, passed, failed, absent),
-      table_of(rows) + fmt::format("check-numerics: passed={} failed={} cases={}{}", passed, failed,
-                                   passed + failed + absent, absent > 0 ? fmt::format(" absent={}", absent) : ""));
+      table_of(rows) + fmt::format("numerics: passed={} failed={} cases={}{}", passed, failed, passed + failed + absent,
+                                   absent > 0 ? fmt::format(" absent={}", absent) : ""));
   return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
 
 }  // namespace
 
-Verb verb_check_numerics() {
-  return make_verb<CheckNumericsOptions>("check-numerics", 190,
-                                         "check stiff and extreme cases against their references", run);
+Verb verb_bench_numerics() {
+  return make_verb<NumericsOptions>("bench numerics", 10, "check stiff and extreme cases against their references",
+                                    run);
 }
 
 // bench: whole training steps, timed by a library of its own.
@@ -614,7 +614,9 @@ int run_bench(const char* device, const BenchOptions& options, AppContext& conte
 
 }  // namespace
 
-Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
+Verb verb_bench() {
+  return make_group("bench", 180, "measure the speed of training steps, check stiff numerical cases");
+}
 
 Verb verb_bench_gpu() {
   return make_verb<BenchOptions>(

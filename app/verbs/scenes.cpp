@@ -190,9 +190,11 @@ int run(const InitOptions& options, AppContext& context) {
   std::vector<NextStep> next{{"inspect " + shell_word(file), "bounds, classes, and every problem"}};
   for (NextStep& step : next_of_cameras(scene.cameras_are_off(), found.path, found.name))
     next.insert(next.begin(), std::move(step));
-  if (!diagnostics.has_errors())
+  if (!diagnostics.has_errors()) {
     for (NextStep& step : next_of_config(file, fs::path(file).stem().string(), found.labels))
       next.push_back(std::move(step));
+    next.push_back({"tune " + shell_word(file), "finds the settings that the scene asks for"});
+  }
   print_next(context, next);
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }

@@ -1,14 +1,19 @@
-// sweep, demo: verbs that start the program again for each of their parts.
+// sweep, tune, demo: verbs that start the program again for each of their parts.
 #include "eval/report/sweep.h"
 
 #include <fmt/format.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -21,6 +26,7 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
+#include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/config_words.h"
 #include "config/settings/run_config.h"
@@ -29,6 +35,8 @@
 #include "core/process.h"
 #include "core/text.h"
 #include "core/view.h"
+#include "eval/report/report.h"
+#include "eval/report/tune.h"
 #include "execution/device_library.h"
 #include "execution/ranks/ranks.h"
 #include "train/run_folder.h"
@@ -91,9 +99,9 @@ std::vector<std::string> named_devices(const std::vector<std::string>& words) {
 }
 
 // Those of this process; none where --devices is not given.
-std::vector<std::string> own_devices(const SweepOptions& options, const Place& place) {
-  if (options.devices.empty()) return {};
-  const std::vector<std::string> devices = named_devices(options.devices);
+std::vector<std::string> own_devices(const std::vector<std::string>& words, const Place& place) {
+  if (words.empty()) return {};
+  const std::vector<std::string> devices = named_devices(words);
   if (!place.launched) return devices;
   const Launched& by = *place.launched;
   if (std::ssize(devices) < by.local_size)
@@ -218,7 +226,7 @@ int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell
          AppContext& context) {
   PoolOptions pool = pool_options(options, sweep, place, context.registry);
   if (options.dry_run) return place.reports() ? list_cells(cells, pool.folder, sweep, context) : 0;
-  pool.devices = own_devices(options, place);
+  pool.devices = own_devices(options.devices, place);
   if (!pool.devices.empty()) pool.jobs = static_cast<int>(pool.devices.size());
 
   SweepProgress progress(sweep, cells, place, context);
@@ -265,6 +273,268 @@ int run(const SweepOptions& options, AppContext& context) {
 Verb verb_sweep() {
   return make_verb<SweepOptions>("sweep", 50, "run experiments: a grid of differences, scenes and seeds", run,
                                  Launch::beside);
+}
+
+// tune: a race of settings over a scene's own held-out views.
+
+namespace {
+
+struct TuneOptions : Options {
+  explicit TuneOptions(const Declaration& at) : Options(at) {
+    excludes("--steps", "--length");
+    excludes("--devices", "--jobs");
+  }
+  const std::string& config = operand("config", "configuration file (YAML)");
+  const std::string& time = value("--time TIME", "time for the whole race, such as 90s, 2m or 1h", "2m");
+  const std::string& length = value(
+      "--length TIME", "training to tune for (default: train.time_s or train.steps, or else an eighth of --time)");
+  const std::optional<long long>& steps = value_in<std::optional<long long>>(
+      "--steps N", {}, 16, 1e9, "the same in steps: then a race can be repeated exactly");
+  const std::string& aim = choice("--for SCORE", "psnr", tune_aims(), "what is tuned for");
+  const std::string& space =
+      value("--space FILE",
+            "axes and their values (YAML; default: configs/tune/ has one for the preset of the configuration)");
+  const int& seeds = value_in<int>("--seeds N", 2, 1, 64, "seeds of a candidate");
+  const std::string& out = value("--out FOLDER", "folder of cells and tables (default: runs/tune_<name>)");
+  const std::string& file = value("--write FILE", "configuration to write (default: CONFIG.tuned.yaml next to CONFIG)");
+  const bool& replace = flag("--replace", "write over a configuration that tune did not write");
+  const std::optional<int>& jobs =
+      value_in<std::optional<int>>("--jobs N", {}, 1, 4096, "cells at a time (default: 1)");
+  const std::vector<std::string>& devices =
+      list("--devices LIST", "CUDA devices that cells run on, one cell at a time on each: all, or numbers (0,1)");
+  const bool& dry_run = flag("--dry-run", "print rounds, cells and minutes, then stop");
+};
+
+// The shipped space of the preset that a configuration includes, or has the parts of.
+std::string space_of(const RunConfig& config) {
+  const bool contracted = config.rendering.outside == Outside::contracted, open = config.rendering.far == FarMode::open;
+  return shared_file(std::string("configs/tune/") + (contracted ? "unbounded" : open ? "object" : "room") + ".yaml");
+}
+
+// Rounds as FOLDER/tune.json has them, and their cells as processes.
+class TuneCells final : public TuneWork {
+ public:
+  TuneCells(const TunePlan& plan, const PoolOptions& pool, AppContext& context, bool dry)
+      : plan_(plan), pool_(pool), context_(context), dry_(dry) {
+    const TuneChoice base(plan.axes.size(), -1);
+    identity_ = fmt::format("{} {} {} {}", tune_cell(plan, base, plan.length, 0, context.registry).id, plan.time_s,
+                            plan.seeds, plan.aim);
+    for (const TuneAxis& axis : plan.axes)
+      for (const TuneValue& value : axis.values) identity_ += "; " + value.name;
+    told_ = read_record();
+    if (told_.value("of", "") != identity_)
+      throw Error(ErrorKind::cannot_create, "tune.folder.other",
+                  fmt::format("'{}' holds a race of another configuration, space or plan", pool.folder),
+                  "name another folder with --out, or remove this one");
+    if (!told_["rounds"].empty()) before_s_ = told_["rounds"].back()["spent_s"];
+    std::error_code none;
+    for (const auto& entry : fs::directory_iterator(fs::path(pool.folder) / "cells", none))
+      forget_cell_failure(pool.folder, entry.path().filename());  // what failed is tried again
+  }
+
+  TuneRound agreed(const TuneRound& wanted) override {
+    FolderLock alone;
+    if (!dry_) {
+      alone = lock_when_free(pool_.folder, [&](const std::string& text) { print_note(context_, text); });
+      told_ = read_record();
+    }
+    Json& rounds = told_["rounds"];
+    if (rounds_ == rounds.size()) {
+      rounds.push_back({{"name", wanted.name}, {"length", wanted.length}, {"seeds", wanted.seeds}});
+      rounds.back().update({{"candidates", wanted.candidates}, {"spent_s", spent_s()}, {"cell_s", cell_s_}});
+      if (!dry_) write_file_atomic(record(), told_.dump(1) + "\n");
+    }
+    const Json& known = rounds[rounds_++];
+    cell_s_ = known["cell_s"];
+    return {known["name"], known["length"], known["seeds"], known["candidates"]};
+  }
+
+  std::optional<TuneScores> run(const TuneRound& round) override {
+    std::vector<std::vector<Cell>> cells(round.candidates.size());
+    std::vector<Cell> waiting;
+    for (std::size_t c = 0; c < cells.size(); ++c)
+      for (int seed = 0; seed < round.seeds; ++seed) {
+        cells[c].push_back(tune_cell(plan_, round.candidates[c], round.length, seed, context_.registry));
+        if (ids_.insert(cells[c].back().id).second) waiting.push_back(cells[c].back());
+      }
+    const double cost_s = std::ceil(static_cast<double>(waiting.size()) / plan_.at_a_time) *
+                          (cell_s_ + round.length * (plan_.in_steps ? step_s_ : 1));
+    print_note(context_, fmt::format("{:<14} {:>3} candidates of {} seeds for {} {}: {} cells, about {}", round.name,
+                                     round.candidates.size(), round.seeds, shortest_number(round.length),
+                                     plan_.in_steps ? "steps" : "s", waiting.size(), minutes_text(cost_s)));
+    if (dry_) {
+      dry_s_ += cost_s;
+      return imagined(round);
+    }
+    PoolHooks hooks;
+    hooks.finished = [&](const CellOutcome& outcome) { finished(outcome); };
+    hooks.waits_for = [&](const std::string& text) { print_note(context_, text); };
+    if (!run_cells(waiting, pool_, ended_, hooks)) return std::nullopt;
+    TuneScores scores(cells.size());
+    for (std::size_t c = 0; c < cells.size(); ++c)
+      for (const Cell& cell : cells[c]) scores[c].push_back(ended_.results[cell.id]);
+    return scores;
+  }
+
+  double spent_s() const override {
+    return dry_ ? dry_s_ : before_s_ + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count();
+  }
+  double cell_s() const override { return cell_s_; }
+  std::size_t cells() const { return ids_.size(); }
+
+ private:
+  std::string record() const { return (fs::path(pool_.folder) / "tune.json").string(); }
+  Json read_record() const {
+    if (dry_ || !is_there(record())) return {{"of", identity_}, {"rounds", Json::array()}};
+    const Json told = Json::parse(read_text_file(record()), nullptr, false);
+    return told.is_object() ? told : Json::object();
+  }
+
+  void finished(const CellOutcome& outcome) {
+    std::map<std::string, double> values;
+    for (const auto& [name, value] : ended_.results[outcome.cell->id]) values[name] = value;
+    if (!outcome.failure.empty()) return print_note(context_, outcome.cell->label + ": " + outcome.failure);
+    besides_s_ += outcome.seconds - values["train_s"];
+    cell_s_ = besides_s_ / ++ran_;
+    step_s_ = values["train_s"] / values["steps"];
+  }
+
+  // Every value gains: what the most rounds cost.
+  TuneScores imagined(const TuneRound& round) const {
+    TuneScores scores;
+    for (const TuneChoice& choice : round.candidates) {
+      const auto gains = static_cast<double>(std::count_if(choice.begin(), choice.end(), [](int v) { return v >= 0; }));
+      CellValues values{{"psnr", 20 + gains}, {"miou_present", gains / 100}, {"absrel", 1 / (1 + gains)}};
+      values.insert(values.end(), {{"train_s", 1000 * step_s_ / (1 + gains / 100)}, {"steps", 1000}});
+      scores.emplace_back(static_cast<std::size_t>(round.seeds), std::move(values));
+    }
+    return scores;
+  }
+
+  const TunePlan& plan_;
+  const PoolOptions& pool_;
+  AppContext& context_;
+  bool dry_;
+  std::string identity_;
+  Json told_;
+  std::size_t rounds_ = 0;
+  double before_s_ = 0, dry_s_ = 0, besides_s_ = 0;
+  double cell_s_ = 3, step_s_ = 0.02;  // what a cell takes besides training, and a step: guesses until one has ended
+  int ran_ = 0;
+  std::set<std::string> ids_;
+  EndedCells ended_;
+  std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
+};
+
+// Values that the configuration has already are no candidates; what it cannot take is an error, or passed over where
+// the space is a shipped one.
+void drop_values(TunePlan& plan, bool shipped, Registry& registry) {
+  TunePlan one = plan;  // of a single value
+  for (TuneAxis& axis : plan.axes)
+    std::erase_if(axis.values, [&](const TuneValue& value) {
+      one.axes = {{axis.name, {value}}};
+      try {
+        return tune_cell(one, {0}, 16, 0, registry).id == tune_cell(one, {-1}, 16, 0, registry).id;
+      } catch (const Error&) {
+        if (!shipped && !axis.is_part) throw;
+        return true;
+      }
+    });
+  std::erase_if(plan.axes, [](const TuneAxis& axis) { return axis.values.empty(); });
+}
+
+TunePlan tune_plan(const TuneOptions& options, const RunConfig& config) {
+  const std::optional<long long> none;
+  TunePlan plan;
+  plan.time_s = asked_length({options.time, none}).seconds;
+  plan.seeds = options.seeds;
+  plan.aim = options.aim;
+  const AskedLength asked = asked_length({options.length, options.steps}), own{config.train.steps, config.train.time_s};
+  const AskedLength& length = asked.any() ? asked : own;
+  plan.in_steps = length.steps > 0;
+  plan.length = plan.in_steps        ? static_cast<double>(length.steps)
+                : length.seconds > 0 ? length.seconds
+                                     : plan.time_s / 8;
+  if (plan.aim == "time" && !plan.in_steps)
+    throw Error(ErrorKind::usage, "usage.flag.conflict", "tune: --for time compares trainings of equally many steps",
+                "give their number with --steps");
+  return plan;
+}
+
+int run(const TuneOptions& options, AppContext& context) {
+  const Place place{launched()};
+  if (!place.reports()) context.quiet = true;
+  const std::string path = find_config(options.config);
+  const ConfigNode config = compose_config(path);
+  const RunConfig read = run_config_of(config, context.registry);
+  TunePlan plan = tune_plan(options, read);
+  plan.config = config;
+  plan.path = path;
+  PoolOptions pool;
+  pool.devices = own_devices(options.devices, place);
+  pool.jobs = pool.devices.empty() ? options.jobs.value_or(1) : static_cast<int>(pool.devices.size());
+  pool.threads = std::max(1, thread_count() / pool.jobs);
+  pool.folder = options.out.empty() ? "runs/tune_" + fs::path(path).stem().string() : options.out;
+  pool.program = own_program();
+  pool.processes_of_host = place.of_host();
+  pool.modules = context.registry.module_files();
+  plan.at_a_time = pool.jobs * place.of_all();
+
+  const fs::path beside = fs::path(options.config).parent_path() / fs::path(path).stem();
+  const std::string file = options.file.empty() ? beside.string() + ".tuned.yaml" : options.file;
+  if (is_there(file) && !options.replace && !read_text_file(file).starts_with(kTunedBy))
+    throw Error(ErrorKind::cannot_create, "files.output.exists",
+                "'" + file + "' is there already, and tune did not write it",
+                "name another file with --write, or give --replace to overwrite it");
+  const bool shipped = options.space.empty();
+  plan.axes = read_tune_space(shipped ? space_of(read) : options.space);
+  for (TuneAxis& part : optional_parts(config)) plan.axes.push_back(std::move(part));
+  drop_values(plan, shipped, context.registry);
+
+  install_stop_signals(!context.quiet);
+  TuneCells cells(plan, pool, context, options.dry_run);
+  const TuneOutcome outcome = race(plan, cells);
+  if (options.dry_run) {
+    if (place.reports())
+      print_results(context, {{"folder", pool.folder}, {"cells", cells.cells()}, {"time_s", cells.spent_s()}},
+                    fmt::format("tune: cells={} time_s={:.0f} folder={}", cells.cells(), cells.spent_s(), pool.folder));
+    return 0;
+  }
+  if (!outcome.whole) {
+    print_note(context, "stopped; the same command continues the race");
+    return 128 + stop_signal();
+  }
+  if (!place.reports()) return 0;
+  const std::string best = choice_name(plan.axes, outcome.best);
+  const std::string page = (fs::path(pool.folder) / "tune.html").string(), unit = tune_aim(plan.aim).unit;
+  const auto [markdown, json] = tune_tables(plan, outcome);
+  write_file_atomic((fs::path(pool.folder) / "tables.md").string(), markdown);
+  write_file_atomic(page, report_page(json));
+  const bool own = is_there(options.config) || is_there(options.config + ".yaml");  // else it is a shipped one
+  const fs::path include = own ? fs::proximate(path, fs::absolute(file).parent_path()) : fs::path(path).filename();
+  const std::string words = fmt::format("semfield tune {} --time {}", options.config, options.time);
+  write_file_atomic(file, tuned_config(plan, outcome, include.string(), words));
+  const TuneGain& gain = outcome.gain;
+  const Json found{{"folder", pool.folder},   {"cells", cells.cells()}, {"best", best},
+                   {"gain", gain.mean},       {"unit", unit},           {"noise", outcome.noise},
+                   {"seeds_sure", gain.sure}, {"seeds", gain.seeds},    {"time_s", cells.spent_s()},
+                   {"report", page},          {"config", file}};
+  std::string text =
+      gain.seeds > 0 ? best + ": " + gain_text(tune_aim(plan.aim), gain) : "no setting gains more than noise";
+  std::string word = best;  // without blanks
+  std::replace(word.begin(), word.end(), ' ', '_');
+  text += fmt::format("\ntune: cells={} best={} gain={:.3f} time_s={:.0f} config={}", cells.cells(), word, gain.mean,
+                      cells.spent_s(), file);
+  print_results(context, found, text);
+  print_next(context, {{"train " + shell_word(file), "trains with what won"}});
+  return 0;
+}
+
+}  // namespace
+
+Verb verb_tune() {
+  return make_verb<TuneOptions>("tune", 45, "find the settings that a scene's own held-out views ask for", run,
+                                Launch::beside);
 }
 
 // demo: the verbs that make a labelled scene, one after the other, on the shipped room.

@@ -45,7 +45,10 @@ class Loader {
         open_.resize(open);
       }
     }
-    return merge_config(std::move(composed), local.without("include"));
+    composed = merge_config(std::move(composed), local.without("include").without("overrides"));
+    if (const ConfigNode* over = local.find("overrides"); over != nullptr && !over->is_null())
+      noting(problems_, [&] { set_values(composed, overrides_of(*over, "overrides"), problems_); });
+    return composed;
   }
 
  private:

@@ -11,8 +11,8 @@
 namespace semfield {
 
 /// Loads `path`, a name as find_config takes it, resolves `include:` (a file or a list of files relative to the
-/// including file, else among the shipped configurations; cycles refused), then local keys, then `overrides`
-/// (parse_overrides, with_overrides). Throws Error(config); but a mistake in what is included or overridden goes into
+/// including file, else among the shipped configurations; cycles refused), then local keys, then the file's own
+/// `overrides:`, a map of key paths, which reach into lists, then `overrides` (parse_overrides, with_overrides). Throws Error(config); but a mistake in what is included or overridden goes into
 /// `problems` where they are given, and the rest is composed without it, or with the file whose name is nearest.
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {},
                           Diagnostics* problems = nullptr);

@@ -258,13 +258,26 @@ std::vector<ConfigOverride> parse_overrides(const std::vector<std::string>& text
   return overrides;
 }
 
-ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides, Diagnostics* problems) {
+void set_values(ConfigNode& root, const std::vector<ConfigOverride>& overrides, Diagnostics* problems) {
   for (const ConfigOverride& over : overrides) {
     noting(problems, [&] {
       name_passes(root);
       apply_override(root, over);
     });
   }
+}
+
+std::vector<ConfigOverride> overrides_of(const ConfigNode& map, const std::string& what) {
+  if (!map.is_map())
+    refuse_at("config.set.format", map.location(), what + ": expected a map of key paths",
+              "write for example {train.steps: 500}");
+  std::vector<ConfigOverride> overrides;
+  for (const auto& [key, value] : map.entries()) overrides.push_back({key, value});
+  return overrides;
+}
+
+ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides, Diagnostics* problems) {
+  set_values(root, overrides, problems);
   name_passes(root);
   resolve_like(root);
   return root;

@@ -44,6 +44,12 @@ struct ConfigOverride {
 /// then name the flag. Throws Error(config), or notes in `problems` and leaves out what is no such text.
 std::vector<ConfigOverride> parse_overrides(const std::vector<std::string>& texts, Diagnostics* problems = nullptr);
 
+/// What a map of key paths sets: {train.steps: 500}. Throws Error(config) naming `what` where it is no map.
+std::vector<ConfigOverride> overrides_of(const ConfigNode& map, const std::string& what);
+
+/// Sets each in `root`, which is composed further; items of lists are called by item_key or by index. Errors as
+/// with_overrides.
+void set_values(ConfigNode& root, const std::vector<ConfigOverride>& overrides, Diagnostics* problems = nullptr);
 /// `root` with each of them in order; items of lists are called by item_key or by index. Then `like: NAME` of an item
 /// of `passes` is resolved: the item is merged onto the earlier one of that name. Throws Error(config), or notes in
 /// `problems` and leaves out what cannot be set.

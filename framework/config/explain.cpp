@@ -501,6 +501,9 @@ std::string json_schema_of(const std::string& title, const std::vector<SchemaSec
   schema["properties"]["include"] = {
       {"description", "config files to start from, relative to this one; later ones win"},
       {"oneOf", Json::array({file, Json{{"type", "array"}, {"items", file}}})}};
+  schema["properties"]["overrides"] = {
+      {"description", "values by key path, over what this file includes and holds; they reach into lists"},
+      {"type", "object"}};
   return schema.dump(2) + "\n";
 }
 

@@ -56,7 +56,8 @@ struct SchemaSection {
 };
 
 /// JSON schema (draft 7), indented by two spaces. Every map refuses keys that are not listed; a slot without `type` may
-/// hold keys of any alternative, since `include` or `like` can bring the type. The top also allows `include`.
+/// hold keys of any alternative, since `include` or `like` can bring the type. The top also allows `include` and
+/// `overrides`.
 std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections);
 
 }  // namespace semfield

@@ -117,6 +117,7 @@ ScoreValues RunScores::score_end() {
   EvalJob test_job = session().eval_job(test_),
           train_job = session().eval_job(
               evenly_spaced(session().scene.frames_of(Split::train), session().config.report.training_frames));
+  test_job.stride = train_job.stride = report.eval_stride;
   double left_s = budget_.left_s(training_.train_s());
   if (budget_.bounds_last() && !(test_.empty() && train_job.frames.empty())) {
     measure_cost(test_.empty() ? train_job : test_job);

@@ -30,7 +30,7 @@ from . import errors
 from ._core import __version__
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
 from .plugins import Dataset, Encoder, Head, Loss, Tensor, dataset, encoder, head, load_plugin, loss, param, plugins
-from .program import CommandError, Object, Objects, command
+from .program import CommandError, Object, Objects, command, tune
 from .runs import (Labels, Outcome, Points, Run, Score, Step, Training, View, load, open, resolved, resume, train)
 from .scenes import Camera, ClassEntry, Frame, Scene
 
@@ -38,6 +38,6 @@ __all__ = [
     "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "Encoder", "Error",
     "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Object", "Objects", "Outcome", "Points", "Run", "Scene", "Score", "Step",
     "Tensor", "Training", "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors",
-    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "resolved", "resume", "train",
+    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "resolved", "resume", "train", "tune",
     "__version__",
 ]

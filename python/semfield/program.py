@@ -73,6 +73,13 @@ def command(*words: Any, json_output: bool = False) -> Any:
     return json.loads(out) if json_output else out
 
 
+def tune(config: PathLike, time: str = "2m", *words: Any) -> Dict[str, Any]:
+    """Finds the settings that a scene's own held-out training views ask for, as ``semfield tune``, and returns what its
+    ``--json`` prints: ``sf.open(sf.tune("room.yaml", "5m", "--length", "30s")["config"])``. Errors are those of `command`."""
+    told: Dict[str, Any] = command("tune", config, "--time", time, "--quiet", *words, json_output=True)
+    return told
+
+
 @dataclasses.dataclass(frozen=True)
 class Object:
     """One thing of the scene. Lengths and areas are in the unit of the input, metres in a metric scene.

@@ -46,7 +46,7 @@ class Words(WordsCase):
             self.assertEqual(self.ok(asked).out, alone.out, asked)
 
     def test_help_of_a_verb_is_the_same_however_it_is_asked(self):
-        for verb in ("render", "config", "config check", "help", "check-numerics"):
+        for verb in ("render", "config", "config check", "help", "bench numerics"):
             help = self.ok(f"help {verb}").out
             self.assertEqual(self.ok(f"{verb} --help").out, help, verb)
             self.has(help, f"Usage: semfield {verb}")
@@ -145,6 +145,7 @@ CASES = {
     "render": ("run --out images", "run step frames s_per_frame width_px height_px folder"),
     "report": ("run", "runs file"),
     "sweep": ("sweep.yaml --dry-run --out swept", "folder planned"),
+    "tune": ("config.yaml --steps 200 --dry-run --out tuned", "folder cells time_s"),
     "mesh": ("run --resolution 24", "run vertices faces files"),
     "pack": ("config.yaml --out again.sfpack", "frames bytes file"),
     "labels degrade": ("config.yaml --out degraded", "frames labelled_px accuracy folder"),
@@ -154,7 +155,7 @@ CASES = {
     "labels classes": ("nyu13", "classes"),
     "plugins list": ("", "plugins"),
     "plugins show": ("hash_grid", "plugins"),
-    "check-numerics": ("--only A01", "passed failed cases rows"),
+    "bench numerics": ("--only A01", "passed failed cases rows"),
 }
 # These measure for long, or need a device, the shipped room, a module or COLMAP; serve is tried below, prepare by
 # tests/capture, objects by tests/objects.
@@ -273,7 +274,7 @@ class Completion(ProgramCase):
                 if shutil.which(shell) is None:
                     self.skipTest(f"{shell} is not installed: its script was not tried")
                 verbs = self.offered(shell, "semfield ")
-                self.assertEqual({"train", "config", "check-numerics", "labels", "help"} - verbs, set())
+                self.assertEqual({"train", "config", "bench", "labels", "help"} - verbs, set())
                 self.assertNotIn("check", verbs)
                 for line, words in {**OFFERED, **(FILES if shell == "zsh" else dict.fromkeys(FILES, ""))}.items():
                     self.assertEqual(self.offered(shell, "semfield " + line), set(words.split()), line)

@@ -253,6 +253,21 @@ TEST(Compose, SameFileTwiceIsNoCycle) {
             "{a: 1, b: 1, c: 1}");
 }
 
+TEST(Compose, OverridesOfAFileReachIntoLists) {
+  const TempDir folder;
+  folder.write("base.yaml", "passes: [{sampler: {samples: 8}}]\noverrides: {train.steps: 5}\n");
+  const std::string path =
+      folder.write("room.yaml", "include: base.yaml\noverrides:\n  passes.main.sampler.samples: 9\n  a.b: [1]\n");
+  const ConfigNode root = compose_config(path, {"a.b=[2]"});
+  EXPECT_EQ(write_config_inline(root),
+            "{passes: [{sampler: {samples: 9}, name: main}], train: {steps: 5}, a: {b: [2]}}");
+  EXPECT_EQ(root.find("passes")->items()[0].find_path("sampler.samples")->location().text(), path + ":3:32");
+  folder.write("room.yaml", "include: base.yaml\noverrides: {passes.fine.samples: 9}\n");
+  EXPECT_ERROR(compose_config(path), "config.set.key", "room.yaml:2:34", "got 'fine'");
+  folder.write("room.yaml", "overrides: [1]\n");
+  EXPECT_ERROR(compose_config(path), "config.set.format", "room.yaml:1:12", "overrides: expected a map of key paths");
+}
+
 TEST(Compose, ShippedPartsAreIncludedFromAnyFolder) {
   const TempDir folder;
   const std::string path = folder.write("room.yaml", "include: presets/room.yaml\ntrain: {rays: 7}\n");
@@ -711,6 +726,7 @@ TEST(Schema, TakesWhatTheReadersTake) {
   const json rule = schema();
   for (const char* text :
        {R"({})", R"({"include": "a.yaml"})", R"({"include": ["a.yaml", "b.yaml"]})",
+        R"({"overrides": {"train.root": "x"}})",
         R"({"train": {"root": "x", "dense": false, "files": ["a"], "grid": {"levels": 32, "growth": 1.0}}})",
         R"({"train": null})", R"({"train": {"root": 10}})",
         R"({"train": {"grid": {"mode": "linear", "betas": [0, 1]}}})",

@@ -133,7 +133,7 @@ std::vector<app::NumericsRow> run_case(const Case& one, const Registry& registry
   return run.finish();
 }
 
-// The suite: every group's cases in order, and the symbol that `check-numerics` loads.
+// The suite: every group's cases in order, and the symbol that `bench numerics` loads.
 
 namespace {
 

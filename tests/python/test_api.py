@@ -436,6 +436,13 @@ def test_ctrl_c_lets_a_verb_end_in_order(scene: sf.Scene, tmp_path: Path) -> Non
     assert sf.load(tmp_path / "a").step > 0
 
 
+def test_tune_says_what_it_would_do(tmp_path: Path) -> None:
+    planned = sf.tune("quickstart", "10m", "--steps", 64, "--dry-run", "--out", tmp_path / "tuned")
+    assert planned["verb"] == "tune" and planned["cells"] > 10
+    with pytest.raises(sf.CommandError, match="--time never"):
+        sf.tune("quickstart", "never")
+
+
 def test_many_threads_look_at_a_run(run: sf.Run) -> None:
     trained(run, 5)
     alone = run.render(frame=0, width=16)

@@ -2,6 +2,7 @@
 // contradicts the scene: tests/bad_files/scenes.cases.
 
 #include <algorithm>
+#include <map>
 #include <string>
 
 #include "scene/loading/frame_source.h"
@@ -128,6 +129,26 @@ TEST(LoadScene, DepthOfWideLensesIsTheDistance) {
     }
     EXPECT_GT(scene.far_m, 2.5);
   }
+}
+
+TEST(LoadScene, TrainingFramesCanBeHeldOutInsteadOfTheTestFrames) {
+  for (const auto& [every, held_out] : std::map<std::int32_t, std::vector<int>>{{2, {1, 3}}, {3, {1, 4}}, {8, {2}}}) {
+    Diagnostics d;
+    SceneLoadOptions options;
+    options.hold_out = every;
+    RoomDataset room;
+    const LoadedScene scene = load_scene(room, options, d);
+    EXPECT_FALSE(d.has_errors());
+    EXPECT_EQ(scene.frames_of(Split::test), held_out) << every;
+    EXPECT_EQ(scene.frames_of(Split::train).size(), 5 - held_out.size()) << every;
+    EXPECT_EQ(scene.frames_of(Split::unused), std::vector<int>{5}) << "the scene's own test frame";
+  }
+  Diagnostics d;
+  SceneLoadOptions options;
+  options.hold_out = 1;
+  RoomDataset room;
+  (void)load_scene(room, options, d);
+  EXPECT_TRUE(d.has_errors());
 }
 
 TEST(LoadScene, PixelsWithoutARayAreMasked) {

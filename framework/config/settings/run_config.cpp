@@ -170,6 +170,9 @@ ConfigNode resolved_config(const RunConfig& config) {
   each_section(config, [&](std::string_view path, const char*, auto params) {
     tree.set_path(path, params_to_config(described(params)));
   });
+  // Only `tune` sets these: records of all other runs do without.
+  if (config.load.hold_out == 0) tree.set_path("scene.load", tree.find_path("scene.load")->without("hold_out"));
+  if (config.report.eval_stride == 1) tree.set("report", tree.find("report")->without("eval_stride"));
   write_parts(config, tree);
   if (!config.plugins.empty()) tree.set("plugins", ConfigNode::list_of(config.plugins, text_node));
   return tree;

@@ -71,6 +71,7 @@ struct ReportParams {
   double eval_every_s = 10;
   int eval_frames = 4;
   double eval_share = 0.1;
+  int eval_stride = 1;
   double checkpoint_every_s = 60;
   int keep_checkpoints = 2;
   int strips = 4;
@@ -89,6 +90,9 @@ inline void describe(ParamVisitor& visit, ReportParams& p) {
       "share of the training time that evaluation may take; to stay within it, evaluations become rarer and read "
       "fewer pixels; so does the last one of a run with train.time_s, of every test frame, and says so; 0: no bound",
       {0, 1e6});
+  SEMFIELD_PARAM(visit, p, eval_stride,
+                 "every N-th pixel, across and down, that the last evaluation scores; it then is one of a sample",
+                 {1, 64});
   SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
   SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
   SEMFIELD_PARAM(visit, p, strips, "test frames shown in the report", {0, 64});

@@ -339,6 +339,11 @@ std::string identity_of(const std::string& config) {
 
 }  // namespace
 
+std::string id_of_cell(const Cell& cell) {
+  return hex64(
+      fnv1a64(identity_of(cell.config) + "\n" + cell.split + "\n" + cell.fuse.method + "\n" + cell.field_cell));
+}
+
 std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
   std::vector<Cell> cells;
   std::map<std::string, std::size_t> known;
@@ -370,8 +375,7 @@ std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
               cell.objects = true;
               cell.field_cell = id_of_variant[variant.objects];
             }
-            cell.id = hex64(fnv1a64(identity_of(cell.config) + "\n" + cell.split + "\n" + cell.fuse.method + "\n" +
-                                    cell.field_cell));
+            cell.id = id_of_cell(cell);
             id_of_variant[variant.name] = cell.id;
             const auto [place, is_new] = known.emplace(cell.id, cells.size());
             if (is_new) cells.push_back(std::move(cell));
@@ -512,7 +516,19 @@ std::string cell_text(const MeanInterval& m) {
   return fmt::format("{:.3f}", m.mean);
 }
 
-// What a reader calls a metric of metrics.jsonl.
+// A line of a table in Markdown; a bar would end the cell.
+std::string md_line(const std::vector<std::string>& cells) {
+  std::string out = "|";
+  for (const std::string& cell : cells) {
+    out += ' ';
+    for (const char c : cell) out += c == '|' ? "\\|" : std::string(1, c);
+    out += " |";
+  }
+  return out + "\n";
+}
+
+}  // namespace
+
 std::string metric_label(const std::string& metric) {
   static const std::map<std::string, std::string> labels{
       {"miou_present", "mIoU"},
@@ -540,18 +556,13 @@ std::string metric_label(const std::string& metric) {
   return found == labels.end() ? metric : found->second;
 }
 
-// A line of a table in Markdown; a bar would end the cell.
-std::string md_line(const std::vector<std::string>& cells) {
-  std::string out = "|";
-  for (const std::string& cell : cells) {
-    out += ' ';
-    for (const char c : cell) out += c == '|' ? "\\|" : std::string(1, c);
-    out += " |";
-  }
-  return out + "\n";
+std::string markdown_table(const std::vector<std::vector<std::string>>& rows) {
+  std::string out = md_line(rows[0]) + "|";
+  for (std::size_t i = 0; i < rows[0].size(); ++i) out += "---|";
+  out += "\n";
+  for (std::size_t i = 1; i < rows.size(); ++i) out += md_line(rows[i]);
+  return out;
 }
-
-}  // namespace
 
 double student_t975(int freedom) {
   SEMFIELD_CHECK(freedom >= 1, "no degrees of freedom");
@@ -675,12 +686,7 @@ std::string ExperimentTable::markdown() const {
   const Experiment& e = experiment_;
   std::string out = "## " + e.title + "\n\n" + (e.note.empty() ? "" : e.note + "\n\n") + scored_text() + "\n";
   if (!unequal_.empty()) out += "\nNot compared: " + unequal_ + ".\n";
-  for (const auto& rows : tables()) {
-    out += "\n" + md_line(rows[0]) + "|";
-    for (std::size_t i = 0; i < rows[0].size(); ++i) out += "---|";
-    out += "\n";
-    for (std::size_t i = 1; i < rows.size(); ++i) out += md_line(rows[i]);
-  }
+  for (const auto& rows : tables()) out += "\n" + markdown_table(rows);
   return out;
 }
 

@@ -98,6 +98,9 @@ struct Cell {
   bool trains() const { return !objects && fuse.method.empty(); }
 };
 
+/// Of its configuration, split and fusion.
+std::string id_of_cell(const Cell& cell);
+
 /// Cells in the order of the tables; those that others wait for come first. Seeds go to runtime.seed and
 /// scene.labels.seed. Throws Error(config) with every error of every cell's configuration, each named once.
 std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry);
@@ -140,6 +143,11 @@ MeanInterval mean_interval(const std::vector<double>& values);
 
 /// 0.975 quantile of Student's t distribution with `freedom` >= 1 degrees of freedom, to 1e-9.
 double student_t975(int freedom);
+
+/// What a reader calls a metric of metrics.jsonl.
+std::string metric_label(const std::string& metric);
+/// Rows of a table in Markdown, the heads first.
+std::string markdown_table(const std::vector<std::vector<std::string>>& rows);
 
 /// The figures behind a table of one experiment.
 class ExperimentTable {

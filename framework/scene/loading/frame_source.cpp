@@ -301,6 +301,10 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
       "steps of a short training whose depth replaces bounds and far that were guessed from the cameras; only "
       "in runs of at least four times as many steps; 0 = no probe",
       {0, 1e6});
+  SEMFIELD_PARAM(visit, p, hold_out,
+                 "every N-th training frame is held out for scores, and the scene's test frames are left out, so that "
+                 "settings can be chosen without them; 0 = the scene's own test frames",
+                 {0, 1e6});
 }
 
 void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
@@ -317,6 +321,27 @@ void validate(const SceneLoadOptions& p, Diagnostics& diagnostics) {
       diagnostics.error("config.value.order", "scene.load.bounds",
                         "the first corner must be below the second on every axis", "swap them");
 }
+
+namespace {
+
+// Scores come from training frames, evenly spaced in their order, and the test frames are not looked at.
+void hold_out_training_frames(std::vector<FrameInfo>& frames, std::int32_t every, Diagnostics& diagnostics) {
+  const auto trains = [](const FrameInfo& frame) { return frame.split == Split::train; };
+  const auto count = static_cast<std::int32_t>(std::count_if(frames.begin(), frames.end(), trains));
+  const std::int32_t apart = std::min(every, count);
+  if (apart < 2)
+    diagnostics.error("scene.split.empty", "scene.load.hold_out", "leaves no frame to train on", "set 2 or more");
+  std::int32_t rank = 0;
+  for (FrameInfo& frame : frames) {
+    if (trains(frame)) {
+      if (rank++ % apart == apart / 2) frame.split = Split::test;
+    } else {
+      frame.split = Split::unused;
+    }
+  }
+}
+
+}  // namespace
 
 bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera& out) {
   double width = camera.width_px / options.downscale, height = camera.height_px / options.downscale;
@@ -365,7 +390,9 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   validate(options, diagnostics);
   SEMFIELD_CHECK(options.pixels || (options.bounds.size() == 6 && options.near_m > 0 && options.far_m > 0),
                  "without pixels, bounds and distances must be given");
-  const SceneInfo as_opened = reader.open(diagnostics);
+  SceneInfo as_opened = reader.open(diagnostics);
+  if (options.hold_out > 0 && !as_opened.frames.empty())
+    hold_out_training_frames(as_opened.frames, options.hold_out, diagnostics);
   scene.info = as_opened;
   convert_info(scene.info, options.convention);
   check_manifest_numbers(scene.info, diagnostics);

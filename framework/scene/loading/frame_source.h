@@ -30,6 +30,7 @@ struct SceneLoadOptions {
   PoseConvention convention;
   bool check_geometry = true;
   std::int64_t probe_steps = 128;
+  std::int32_t hold_out = 0;          ///< every N-th training frame is a test frame, and the scene's own are unused
   DepthKept depth = DepthKept::all;   ///< not a key
   bool with_instances = false;        ///< not a key
   std::vector<std::string> channels;  ///< not a key: further channels of training frames that are wanted, by name

@@ -122,7 +122,7 @@ function draw_series({markers, digits, log_y}, series, x, y) {
   const dots = points.map((p, i) => [has_interval(p) && whisker(p), (markers || i + 1 === points.length) &&
     html`<circle cx="${px(x(p.x))}" cy="${px(y(p.y))}" r="${points.length === 1 ? 5 : 3}" fill="${paint(color)}"
 ><title>${name}: ${point_text(p, digits)}</title></circle>`]);
-  return [way && html`<polyline class="ln" ${stroke(color)} points="${way}"/>`, dots,
+  return [way && !series.loose && html`<polyline class="ln" ${stroke(color)} points="${way}"/>`, dots,
     marks.map((mark) => draw_mark(mark, series, x, y))];
 }
 const draw_bars = ({color, bars = []}, x, y) => bars.map(({from, to, height, text}) => html`<rect class="br"
@@ -146,7 +146,8 @@ function end_labels(series, digits, x, y) {
 /**
  * spec: {title, x_label, log_x, log_y: points at or below 0 are left out then, markers: a dot at each point, digits,
  * end_values, x_range, y_range: of a linear axis, series: {name, color: 0 to 7, points: {x, y, low, high}, marks: {x,
- * diamond, text}, bars: {from, to, height, text}, reference: a thin line to compare with}}. Points that are not finite
+ * diamond, text}, bars: {from, to, height, text}, reference: a thin line to compare with,
+ * loose: dots without a line}}. Points that are not finite
  * are not drawn.
  */
 function plot(spec) {

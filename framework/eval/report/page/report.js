@@ -657,7 +657,7 @@ function curves() {
 
 /** `tables`: rows of texts, the heads first; `plot`: as plot() takes it, or null. */
 const experiment = ({name, title, note, scored, unequal, tables, plot: drawn}) => section(name, title, note,
-  hint(scored), unequal && html`<p class="notice">Not compared: ${unequal}.</p>`,
+  scored && hint(scored), unequal && html`<p class="notice">Not compared: ${unequal}.</p>`,
   drawn && [legend(drawn.series.map((one) => one.name)),
     html`<div class="plots">${panel(drawn.title, "", plot({...drawn, markers: true}))}</div>`],
   tables.map(([[label, ...columns], ...rows]) =>

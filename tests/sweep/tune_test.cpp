@@ -1,0 +1,231 @@
+// Tuning: spaces as written, the race against scores that are known, what the tuned file says.
+
+#include "eval/report/tune.h"
+
+#include <algorithm>
+#include <functional>
+#include <map>
+
+#include "config/compose.h"
+#include "config/settings/run_config.h"
+#include "plugin/loader.h"
+#include "tests/scene/tiny_scene.h"
+#include "tests/temp_dir.h"
+
+namespace semfield {
+namespace {
+
+// Four axes of two values and a part; PSNR is known for every choice and seed.
+class Tuning : public testing::Test, public TuneWork {
+ protected:
+  static TuneAxis axis(const std::string& name, int values, bool is_part = false) {
+    TuneAxis out{name, {}, is_part};
+    for (int v = 0; v < values; ++v)
+      out.values.push_back({name + " " + std::to_string(v), {{"train." + name, ConfigNode()}}});
+    return out;
+  }
+
+  TuneRound agreed(const TuneRound& wanted) override {
+    const std::size_t place = asked_++;
+    if (place == record_.size()) record_.push_back(wanted);
+    return record_[place];
+  }
+  std::optional<TuneScores> run(const TuneRound& round) override {
+    if (rounds_left_-- == 0) return std::nullopt;
+    TuneScores scores;
+    for (const TuneChoice& choice : round.candidates) {
+      scores.emplace_back();
+      for (int seed = 0; seed < round.seeds; ++seed) {
+        const bool is_new = trained_.insert({{choice, round.length}, seed}).second;
+        cells_ += is_new ? 1 : 0;
+        spent_s_ += is_new ? round.length + cell_s() : 0;
+        scores.back().push_back({{"psnr", 20 + round.length / 100 + psnr_(choice) + 0.01 * seed},
+                                 {"miou_present", 0.5 + miou_(choice)},
+                                 {"train_s", round.length},
+                                 {"steps", 1000}});
+      }
+    }
+    return scores;
+  }
+  double spent_s() const override { return spent_s_; }
+  double cell_s() const override { return 0.5; }
+
+  TuneOutcome race_of(double time_s) {
+    asked_ = 0;
+    plan_.time_s = time_s;
+    return race(plan_, *this);
+  }
+
+  TunePlan plan_{{}, {}, {axis("a", 2), axis("b", 2), axis("c", 2), axis("d", 2), axis("part", 1, true)}};
+  std::function<double(const TuneChoice&)> psnr_ = [](const TuneChoice& c) {
+    return (c[0] == 1 ? 0.5 : 0) +
+           (c[1] == 0   ? 1
+            : c[1] == 1 ? -2
+                        : 0) +
+           (c[3] >= 0 ? 0.01 : 0) - (c[0] == 1 && c[2] == 0 ? 5 : 0) + (c[2] == 0 ? 0.3 : 0) - (c[4] == 0 ? 0.01 : 0);
+  };
+  std::function<double(const TuneChoice&)> miou_ = [](const TuneChoice&) { return 0; };
+  std::vector<TuneRound> record_;
+  std::set<std::pair<std::pair<TuneChoice, double>, int>> trained_;
+  std::size_t asked_ = 0;
+  int cells_ = 0, rounds_left_ = -1;
+  double spent_s_ = 0;
+};
+
+TEST_F(Tuning, TheBetterValuesAreCombinedAndPartsOfNoWorthAreLeftOut) {
+  const TuneOutcome outcome = race_of(2000);
+  ASSERT_TRUE(outcome.whole);
+  EXPECT_EQ(outcome.best, (TuneChoice{1, 0, -1, -1, 0}))
+      << "a 1 and b 0 gain; c 0 gains alone and not with a 1; d gains less than noise; the part costs less";
+  EXPECT_NEAR(outcome.gain.mean, 1.5, 0.02);
+  EXPECT_EQ(outcome.gain.sure, 2);
+  EXPECT_EQ(gain_text(tune_aim("psnr"), outcome.gain), "+1.50 dB, sure: 2 of 2 seeds");
+  ASSERT_EQ(outcome.parts.size(), 3u);
+  EXPECT_NEAR(outcome.parts[0].gain.mean, 0.5, 0.01) << "of a";
+  EXPECT_TRUE(outcome.parts[1].kept);
+  EXPECT_FALSE(outcome.parts[2].kept);
+}
+
+TEST_F(Tuning, EndsInTimeAndTriesTheFirstAxesWhereItIsShort) {
+  for (const double time_s : {60., 120., 400.}) {
+    record_.clear();
+    trained_.clear();
+    spent_s_ = 0;
+    const TuneOutcome outcome = race_of(time_s);
+    EXPECT_LE(spent_s_, time_s) << time_s;
+    EXPECT_EQ(outcome.best[1], 0) << time_s;
+  }
+  record_.clear();
+  trained_.clear();
+  spent_s_ = 0;
+  EXPECT_FALSE(race_of(20).notes.empty());
+}
+
+TEST_F(Tuning, AGainThatCostsLabelsIsNone) {
+  miou_ = [](const TuneChoice& c) { return c[1] == 0 ? -0.2 : 0.; };
+  EXPECT_EQ(race_of(2000).best[1], -1);
+  plan_.aim = "miou";
+  record_.clear();
+  miou_ = [](const TuneChoice& c) { return c[2] == 1 ? 0.2 : 0.; };
+  EXPECT_EQ(race_of(2000).best, (TuneChoice{-1, -1, 1, -1, 0}));
+}
+
+TEST_F(Tuning, WithoutAGainTheConfigurationStays) {
+  psnr_ = [](const TuneChoice& c) { return c[4] == 0 ? -1 : 0.; };
+  const TuneOutcome outcome = race_of(2000);
+  EXPECT_EQ(outcome.best, TuneChoice(5, -1));
+  EXPECT_EQ(outcome.gain.seeds, 0);
+  EXPECT_TRUE(outcome.parts.at(0).kept);
+}
+
+TEST_F(Tuning, AStoppedRaceContinuesFromItsRecord) {
+  const TuneOutcome whole = race_of(2000);
+  const std::vector<TuneRound> rounds = record_;
+  const int cells = cells_;
+  for (int stop = 0; stop < 4; ++stop) {
+    record_.clear();
+    trained_.clear();
+    spent_s_ = cells_ = 0;
+    rounds_left_ = stop;
+    EXPECT_FALSE(race_of(2000).whole);
+    rounds_left_ = -1;
+    spent_s_ += 300;  // the clock decides nothing that the record knows
+    const std::size_t known = record_.size();
+    const TuneOutcome again = race_of(2000);
+    EXPECT_EQ(again.best, whole.best);
+    for (std::size_t r = 0; r < known; ++r) EXPECT_EQ(record_[r].candidates, rounds[r].candidates) << r;
+    EXPECT_LE(cells_, cells) << "no cell is trained twice";
+  }
+}
+
+class TuneFiles : public testing::Test {
+ protected:
+  void SetUp() override {
+    register_linked_plugins(registry_);
+    write("base.yaml",
+          "scene: {type: replica, root: walk}\n"
+          "losses: [{type: depth, weight: 0.02}]\n"
+          "train: {cameras: {poses: auto}}\n"
+          "passes:\n"
+          "  - sampler: {type: stratified, samples: 8}\n"
+          "    position: {type: frequency, frequencies: 3}\n"
+          "    field: {type: nerf_mlp, depth: 2, width: 8, skip_at: 0}\n");
+  }
+  std::string write(const std::string& name, const std::string& text) { return dir_.write(name, text); }
+  std::vector<TuneAxis> space(const std::string& text) { return read_tune_space(write("space.yaml", text)); }
+  TunePlan plan_of(std::vector<TuneAxis> axes) {
+    const std::string path = dir_.path() + "/base.yaml";
+    return {compose_config(path), path, std::move(axes)};
+  }
+  std::string error_of(const std::string& text) {
+    try {
+      const TunePlan plan = plan_of(space(text));
+      (void)tune_cell(plan, TuneChoice(plan.axes.size(), 0), 15, 0, registry_);
+    } catch (const Error& e) {
+      return e.what();
+    }
+    return "no error";
+  }
+
+  const TempDir dir_;
+  Registry registry_;
+};
+
+TEST_F(TuneFiles, AxesAreKeyPathsOrNamedVariants) {
+  const std::vector<TuneAxis> axes = space(
+      "axes:\n  passes.main.position.frequencies: [4, 5]\n"
+      "  light: {dark: {rendering.background: [0, 0, 0], train.rays: 64}}\n");
+  ASSERT_EQ(axes.size(), 2u);
+  EXPECT_EQ(choice_name(axes, {1, 0}), "position.frequencies 5, dark");
+  EXPECT_EQ(choice_name(axes, {-1, -1}), "as configured");
+  EXPECT_EQ(axes[1].values[0].set.size(), 2u);
+}
+
+TEST_F(TuneFiles, MistakesAreNamedWithTheirPlace) {
+  EXPECT_HAS(error_of("axis: {train.rays: [1]}\n"), "space.yaml:1:1: unknown key 'axis'");
+  EXPECT_HAS(error_of("axes:\n  train.rays: 3\n"), "space.yaml:2:15: axes.train.rays: expected a list of values");
+  EXPECT_HAS(error_of("axes:\n  light: {dark: 3}\n"), "space.yaml:2:17: axes.light.dark: expected a map of key paths");
+  EXPECT_HAS(error_of("axes:\n  train.rayz: [64]\n"), "space.yaml:2:", "rayz", "rays");
+  EXPECT_HAS(error_of("axes:\n  train.rays: [-3]\n"), "space.yaml:2:");
+  EXPECT_HAS(error_of("axes:\n  losses.distorsion.weight: [0.1]\n"), "distorsion", "distortion");
+}
+
+TEST_F(TuneFiles, TheTunedFileLoadsAndIsTheWinner) {
+  TunePlan plan =
+      plan_of(space("axes:\n  passes.main.position.frequencies: [4, 5]\n  losses.distortion.weight: [0.01]\n"
+                    "  light: {dark: {rendering.background: [0, 0, 0], train.rays: 64}}\n"));
+  for (TuneAxis& part : optional_parts(plan.config)) plan.axes.push_back(std::move(part));
+  ASSERT_EQ(plan.axes.size(), 5u) << "the loss and the corrections of poses can be taken out";
+  TuneOutcome outcome;
+  outcome.best = {1, 0, 0, 0, 0};
+  outcome.gain = {0.42, 2, 2};
+  outcome.parts = {{0, {0.4, 2, 2}}, {1, {0.1, 1, 2}}, {3, {0.01, 1, 2}, "", 0.08, false}};
+  const std::string text = tuned_config(plan, outcome, "base.yaml", "semfield tune base.yaml --time 2m");
+  EXPECT_HAS(text, std::string(kTunedBy) + "semfield tune base.yaml --time 2m`: +0.42 dB, sure: 2 of 2 seeds, noise ",
+             "include: base.yaml", "passes.main.position.frequencies: 5  # +0.40 dB, sure: 2 of 2 seeds",
+             "losses: [{type: distortion, weight: 0.01}]  # distortion.weight 0.01: +0.10 dB, sure: 1 of 2 seeds; "
+             "without the loss depth: it gains +0.01 dB, sure: 1 of 2 seeds, takes 8 % of a step");
+  const TunePlan tuned{compose_config(write("base.tuned.yaml", text)), plan.path, {}};
+  const std::string winner = tune_cell(plan, outcome.best, 15, 0, registry_).config;
+  EXPECT_EQ(tune_cell(tuned, {}, 15, 0, registry_).config, winner);
+  EXPECT_HAS(winner, "frequencies: 5", "type: distortion", "rays: 64", "poses: given", "hold_out: 8", "time_s: 15");
+  EXPECT_NE(tune_cell(plan, TuneChoice(5, -1), 15, 0, registry_).config, winner);
+}
+
+TEST_F(TuneFiles, ShippedSpacesAreSmallEnough) {
+  for (const char* preset : {"room", "object", "unbounded"}) {
+    const std::string root = SEMFIELD_SOURCE_DIR "/configs/", file = std::string(preset) + ".yaml";
+    const TunePlan plan{compose_config(root + "presets/" + file, {"scene.type=replica", "scene.root=walk"}), "x.yaml",
+                        read_tune_space(root + "tune/" + file)};
+    EXPECT_LE(plan.axes.size(), 12u) << preset;
+    for (std::size_t a = 0; a < plan.axes.size(); ++a)
+      for (int v = 0; v < std::ssize(plan.axes[a].values); ++v) {
+        TuneChoice choice(plan.axes.size(), -1);
+        choice[a] = v;
+        EXPECT_NO_THROW(tune_cell(plan, choice, 15, 0, registry_)) << choice_name(plan.axes, choice);
+      }
+  }
+}
+
+}  // namespace
+}  // namespace semfield
