@@ -359,9 +359,9 @@ class TuneCells final : public TuneWork {
       }
     const double cost_s = std::ceil(static_cast<double>(waiting.size()) / plan_.at_a_time) *
                           (cell_s_ + round.length * (plan_.in_steps ? step_s_ : 1));
-    print_note(context_, fmt::format("{:<14} {:>3} candidates of {} seeds for {} {}: {} cells, about {}", round.name,
-                                     round.candidates.size(), round.seeds, shortest_number(round.length),
-                                     plan_.in_steps ? "steps" : "s", waiting.size(), minutes_text(cost_s)));
+    print_note(context_, fmt::format("{:<14} {:>3} candidates of {} seeds for {:g} {}: {} cells, about {}", round.name,
+                                     round.candidates.size(), round.seeds, round.length, plan_.in_steps ? "steps" : "s",
+                                     waiting.size(), minutes_text(cost_s)));
     if (dry_) {
       dry_s_ += cost_s;
       return imagined(round);

@@ -464,14 +464,14 @@ Json front_section(const TunePlan& plan, const TuneAim& aim, const TuneOutcome& 
                             choice_name(plan.axes, round.candidates[c]));
   std::sort(points.begin(), points.end());
   Json all = Json::array(), best = Json::array();
-  Table table{{"seconds of training", metric_label(aim.metric), "candidate"}};
+  Table table{{"candidate", "seconds of training", metric_label(aim.metric)}};
   double least = std::numeric_limits<double>::infinity();
   for (const auto& [train_s, error, name] : points) {
     all.push_back({{"x", train_s}, {"y", sign * error}});
     if (error >= least) continue;
     least = error;
     best.push_back(all.back());
-    table.push_back({fmt::format("{:.2f}", train_s), fmt::format("{:.3f}", sign * error), name});
+    table.push_back({name, fmt::format("{:.2f}", train_s), fmt::format("{:.3f}", sign * error)});
   }
   Json out = section("front", "Error against run time", note, table);
   out["plot"] = {{"title", metric_label(aim.metric)}, {"x_label", "seconds of training"}, {"log_x", true}};
@@ -549,10 +549,9 @@ std::pair<std::string, std::string> tune_tables(const TunePlan& plan, const Tune
       table.push_back({choice_name(plan.axes, round.candidates[c]), mean_text(scores[c], shown.metric, 3),
                        mean_text(scores[c], "miou_present", 3), mean_text(scores[c], "train_s", 1),
                        mean_text(scores[c], "steps", 0)});
-    parts.push_back(section(
-        fmt::format("round-{}", parts.size() - 1), "Round: " + round.name,
-        fmt::format("{} {}, {} seeds.", shortest_number(round.length), plan.in_steps ? "steps" : "s", round.seeds),
-        table));
+    parts.push_back(section(fmt::format("round-{}", parts.size() - 1), "Round: " + round.name,
+                            fmt::format("{:g} {}, {} seeds.", round.length, plan.in_steps ? "steps" : "s", round.seeds),
+                            table));
   }
   std::string markdown = "# " + title + "\n";
   for (const Json& part : parts) {
