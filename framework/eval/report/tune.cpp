@@ -395,7 +395,7 @@ class Race {
     TuneChoice reduced = out_.best;
     for (std::size_t c = 1; c < last().candidates.size(); ++c) {
       const TuneGain out = gain(aim_, c);
-      if (out.mean == 0) continue;  // the scene does not need it, so it was not built
+      if (out.mean == 0 && gain(kAims[0], c).mean == 0) continue;  // it was not built
       TunePart part{axis_of(last().candidates[c], out_.best), {-out.mean, out.seeds - out.sure, out.seeds}};
       part.name = axes_[part.axis].is_part ? axes_[part.axis].name
                                            : choice_name(axes_, with(base_, part.axis, out_.best[part.axis]));
