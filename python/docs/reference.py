@@ -14,7 +14,7 @@ GROUPS: List[Tuple[str, List[str]]] = [
     ("What calls give back", ["Step", "View", "Points", "Score", "Outcome", "Objects", "Object"]),
     ("Scenes", ["Scene", "Camera", "Frame", "ClassEntry"]),
     ("Plugins", ["encoder", "head", "loss", "dataset", "param", "Tensor", "Encoder", "Head", "Loss", "Dataset", "load_plugin", "plugins"]),
-    ("The program", ["command"]),
+    ("The program", ["command", "tune"]),
     ("Errors", ["Error", "Finding", "UsageError", "ConfigError", "DataError", "InputError", "UnavailableError", "WriteError",
                 "CommandError"]),
 ]
