@@ -217,11 +217,13 @@ void show_load_progress(AppContext& context) {
 
 void print_next(const AppContext& context, const std::vector<NextStep>& steps) {
   if (context.quiet || context.json || steps.empty() || std::getenv(kLeftOut) != nullptr) return;
+  std::string modules;  // a run that was trained with them is read with them
+  for (const std::string& module : context.registry.module_files()) modules += " --plugin " + shell_word(module);
   std::size_t longest = 0;
   for (const NextStep& step : steps) longest = std::max(longest, step.words.size());
   std::string text;
   for (const NextStep& step : steps) {
-    text += (text.empty() ? "next        semfield " : "\n            semfield ") + step.words;
+    text += (text.empty() ? "next        semfield " : "\n            semfield ") + step.words + modules;
     text += std::string(longest - step.words.size() + 3, ' ') + "# " + step.what;
   }
   std::fflush(stdout);  // results come first

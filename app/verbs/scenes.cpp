@@ -129,10 +129,8 @@ std::string unused(const std::string& run) {
 // Training, and labelling in a run of its own, so that either works after the other. A run that is there already keeps
 // its folder. `name` is of its runs; `set` is what --set and its short forms gave.
 std::vector<NextStep> next_of_config(const std::string& file, const std::string& name, [[maybe_unused]] bool labels,
-                                     const std::vector<std::string>& set = {},
-                                     const std::vector<std::string>& modules = {}) {
+                                     const std::vector<std::string>& set = {}) {
   std::string words = " " + shell_word(file);
-  for (const std::string& module : modules) words += " --plugin " + shell_word(module);
   for (const std::string& setting : set) {
     // "--threads runtime.threads=2" was typed as "--threads 2".
     const bool is_short = setting.starts_with("--");
@@ -261,7 +259,7 @@ int run(const InspectOptions& options, AppContext& context) {
   } else if (!diagnostics.has_errors()) {
     const bool labels = std::any_of(scene.class_pixels.begin(), scene.class_pixels.end(),
                                     [](const std::vector<std::int64_t>& pixels) { return !pixels.empty(); });
-    then(next_of_config(what, opened.config.name, labels, options.set, context.registry.module_files()));
+    then(next_of_config(what, opened.config.name, labels, options.set));
   }
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }

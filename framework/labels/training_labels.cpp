@@ -183,7 +183,8 @@ void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& dia
   const std::vector<FrameInfo>& frames = scene.info.frames;
   if (!diagnostics.has_errors() && !frames.empty() && std::none_of(frames.begin(), frames.end(), trains)) {
     diagnostics.error("labels.training.none", "scene.labels.from", "no training frame has labels",
-                      "use the names of the frames, such as '" + frames.front().name + "'");
+                      "name label files as frames are named, such as '" + frames.front().name +
+                          "', or set the reader's pattern to what the files add to it");
   }
   if (scene.info.classes.empty() || config.from.reader->adds_classes()) take_table(scene, table);
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {

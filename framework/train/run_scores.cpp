@@ -230,7 +230,8 @@ std::string keep_scores(const OpenedRun& run, const std::string& split, const Sp
   try {
     const RunFolder folder = RunFolder::resume(run.run_dir);  // nobody trains it meanwhile
     const std::vector<CheckpointStore::Entry> saved = CheckpointStore::read(folder.checkpoints_path()).list();
-    if (saved.empty() || saved.front().step != run.step) return "the run has gone on since it was opened";
+    if (saved.empty() || saved.front().step != run.step)
+      return fmt::format("the run's newest checkpoint is not that of step {}, which was read", run.step);
     const bool logged = std::filesystem::exists(folder.metrics_path());
     const std::vector<MetricsRow> rows = logged ? read_metrics(folder.metrics_path()) : std::vector<MetricsRow>();
     const std::string line = metrics_line(row);
