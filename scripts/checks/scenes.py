@@ -16,7 +16,7 @@ from . import common
 sys.path.insert(1, str(common.ROOT / "tests" / "scripts"))
 from broken_scenes import OPENGL, Scene, drill, shipped_room  # noqa: E402, F401
 
-PHOTOGRAPHS = {"studio": "studio_room", "llff": "llff_room", "bonsai": "bonsai360"}
+PHOTOGRAPHS = {"studio": "studio_room", "bonsai": "bonsai360"}
 MOST_PHOTOGRAPHS, KILLED_PHOTOGRAPHS = 80, 12
 WRONG_DEG, WRONG_SHARE = 5, 0.05
 
@@ -135,20 +135,20 @@ def prepare_killed(program, source, folder, figures):
 
 def capture(folder: "of the scenes", *, scenes: "some of them" = tuple(PHOTOGRAPHS.values()), build=common.BUILD,
             keep=None):
-    """Measures what `semfield prepare` finds from photographs alone. FOLDER holds studio_room, llff_room and
-bonsai360, each with a transforms.json of poses and their photographs, of which at most 80 are copied without their
-poses and prepared; the poses found are laid over the given ones by a similarity of least squares and compared.
+    """Measures what `semfield prepare` finds from photographs alone. FOLDER holds studio_room and bonsai360,
+each with a transforms.json of poses and their photographs, of which at most 80 are copied without their poses and
+prepared; the poses found are laid over the given ones by a similarity of least squares and compared.
 
 *_registered is the share of photographs that got a pose. pose_error_* are means over a scene's photographs, of the
 worst scene: the angle of a camera, and the distance of its centre as a share of the diagonal of the box of all given
-centres. killed_lost counts photographs of llff_room that lose their pose when `prepare` is killed while it matches and
-called again."""
+centres. killed_lost counts photographs of studio_room that lose their pose when `prepare` is killed while it matches
+and called again."""
     program, figures = build.resolve() / "bin" / "semfield", {}
     with common.work_folder(keep) as work:
         for short, name in PHOTOGRAPHS.items():
             if name in scenes:
                 common.attempt(lambda: prepare_alone(program, folder / name, work, short, figures))
-        common.attempt(lambda: prepare_killed(program, folder / PHOTOGRAPHS["llff"], work, figures))
+        common.attempt(lambda: prepare_killed(program, folder / PHOTOGRAPHS["studio"], work, figures))
     return figures
 
 

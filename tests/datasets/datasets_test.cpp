@@ -389,7 +389,7 @@ TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
 INSTANTIATE_TEST_SUITE_P(RealScenes, PresetAdviceOf,
                          testing::Values(Measured{"bonsai", "bonsai360", "room.yaml", "transforms_json", 400},
                                          Measured{"bonsai_llff", "bonsai360", "room.yaml", "llff", 400},
-                                         Measured{"llff_room", "llff_room", "room.yaml", "transforms_json", 400},
+                                         Measured{"fern", "fern", "room.yaml", "llff", 400},
                                          Measured{"studio", "studio_room", "room.yaml", "transforms_json", 480},
                                          Measured{"studio_colmap", "studio_room", "room.yaml", "colmap", 480},
                                          Measured{"hololens", "hololens_room", "room.yaml", "transforms_json", 180},
@@ -399,17 +399,17 @@ INSTANTIATE_TEST_SUITE_P(RealScenes, PresetAdviceOf,
                          [](const auto& row) { return row.param.name; });
 
 // Forward-facing photographs: the box of what is seen and not that of the view cones.
-TEST(SceneBounds, CornersTellWhereAForwardFacingRoomIs) {
-  if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
+TEST(SceneBounds, CornersTellWhereAForwardFacingSceneIs) {
+  if (!std::filesystem::exists(data("fern"))) GTEST_SKIP() << "the optional scene fern is not at hand";
   SceneLoadOptions options{.width_px = 400};
   Diagnostics d;
-  NamedDataset llff("transforms_json", {{"root", data("llff_room")}});
+  NamedDataset llff("llff", {{"root", data("fern")}});
   const LoadedScene scene = load_scene(llff, options, d);
   EXPECT_HAS(scene.bounds_from, "corners found again");
-  EXPECT_GT(scene.near_m, 3);  // LLFF's own figures are 8.9 to 47
-  EXPECT_LT(scene.near_m, 14);
-  EXPECT_GT(scene.far_m, 45);
-  EXPECT_LT(scene.far_m, 70);
+  EXPECT_GT(scene.near_m, 5);  // LLFF's own figures are 17 to 80
+  EXPECT_LT(scene.near_m, 17);
+  EXPECT_GT(scene.far_m, 70);
+  EXPECT_LT(scene.far_m, 110);
 }
 
 LoadedScene inward_scene(double reach, std::size_t corners) {
@@ -491,9 +491,9 @@ TEST(RealData, StudioRoomByColmapAndByTransforms) {
 }
 
 TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
-  if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
-  NamedDataset by_json("transforms_json", {{"root", data("llff_room")}});
-  NamedDataset by_llff("llff", {{"root", data("llff_room")}});
+  if (!std::filesystem::exists(data("bonsai360"))) GTEST_SKIP() << "the optional scene bonsai360 is not at hand";
+  NamedDataset by_json("transforms_json", {{"root", data("bonsai360")}});
+  NamedDataset by_llff("llff", {{"root", data("bonsai360")}});
   Diagnostics d;
   const SceneInfo json = by_json.open(d), llff = by_llff.open(d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
