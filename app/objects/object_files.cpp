@@ -224,7 +224,7 @@ FolderLock hold_objects(const std::string& folder, double wait_s) {
     if (cause != EWOULDBLOCK) throw write_error("write in", folder, cause);
     if (std::chrono::steady_clock::now() >= end)
       throw Error(ErrorKind::cannot_create, "objects.folder.busy",
-                  fmt::format("the objects in '{}' are being changed by {}", folder, lock.holder()),
+                  fmt::format("the folder of objects '{}' is in use by {}", folder, lock.holder()),
                   "wait until it has ended");
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
   }

@@ -82,11 +82,11 @@ int free_port(const std::string& address, int port, bool next) {
   }
   const std::string place = address + ":" + std::to_string(port);
   if (cause == EADDRINUSE)
-    throw Error(
-        ErrorKind::unavailable, "serve.port.taken",
-        next ? "the ports " + std::to_string(port) + " to " + std::to_string(last) + " of " + address + " are all taken"
-             : "port " + std::to_string(port) + " of " + address + " is taken by another program",
-        next ? "name a free one with --port N" : "end that program, name another port, or leave --port out");
+    throw Error(ErrorKind::unavailable, "serve.port.taken",
+                next ? "the ports " + std::to_string(port) + " to " + std::to_string(last) + " of " + address +
+                           " are all in use"
+                     : "port " + std::to_string(port) + " of " + address + " is in use by another program",
+                next ? "name a free one with --port N" : "end that program, name another port, or leave --port out");
   if (cause == EADDRNOTAVAIL)
     throw Error(ErrorKind::unavailable, "serve.address.foreign", "this machine has no address " + address,
                 "see `ip address` for those that it has, or leave --address out");

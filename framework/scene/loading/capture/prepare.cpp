@@ -82,8 +82,8 @@ PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prep
   create_folders(logs());
   create_folders(work());
   if (const int cause = lock_.take(prepare_); cause == EWOULDBLOCK)
-    throw Error(ErrorKind::cannot_create, "capture.scene.busy", lock_.holder() + " prepares '" + scene + "'",
-                "wait until it has ended");
+    throw Error(ErrorKind::cannot_create, "capture.scene.busy",
+                "the scene '" + scene + "' is in use by " + lock_.holder(), "wait until it has ended");
   else if (cause != 0)
     throw write_error("lock", prepare_, cause);
 }
