@@ -3,7 +3,7 @@
 A page's blocks run in order, in a scratch folder that looks like the repository's: configs/ (presets made small), scenes/, scripts/,
 data/ (what page_scenes.py made), and `semfield` in PATH; SEMFIELD_BUILD names the build. Blocks with `file=NAME` behind their language, the page's and
 those of own_data.md, are saved there before, but for sources of plugins/. Every command of
-a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves, and
+a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` and `view` are stopped when they serve, and
 minutes of `--time` are 2 seconds. Blocks marked `python` without a file are one program, which runs last, where the build has the Python module.
 A comment before a block says what a reader need not see, one thing per line:
 
@@ -95,7 +95,7 @@ class Scratch:
     def run(self, command):
         """Exit code and what it printed."""
         words = shlex.split(command, comments=True)
-        if words[:2] == ["semfield", "serve"]:
+        if words[:2] in (["semfield", "serve"], ["semfield", "view"]):
             return self.serve(command, 0)
         done = subprocess.run(["bash", "-c", command], cwd=self.folder, env=self.environment, text=True, stdin=subprocess.DEVNULL,
                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
