@@ -210,7 +210,7 @@ class Keys(ProgramCase):
         areas = {code.partition(".")[0] for code in self.codes}
         for place, dataset, text in self.literals():
             if (re.fullmatch(r"[a-z0-9_]+(\.[a-z0-9_]+){1,3}", text) and text.partition(".")[0] in areas
-                    and text not in self.codes and not re.fullmatch(r".*\.(yaml|yml|csv|json|zip|ply|glb|npz)", text)):
+                    and text not in self.codes and not re.fullmatch(r".*\.(yaml|yml|csv|html|json|zip|ply|glb|npz)", text)):
                 self.assertTrue(self.known(text, dataset), f"{place}: {text}")
 
     def test_no_remedy_names_a_key_of_the_scene_without_its_path(self):
