@@ -125,6 +125,7 @@ Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage
            {"classes", Json::array()},
            {"objects", Json::array()}};
   if (page.eye) out["eye"] = list_of(*page.eye);
+  if (page.eye) out["ahead"] = list_of(page.ahead);
   if (page.objects) out["objects"] = page_objects(*page.objects, classes);
   if (!surface.attributes.has_labels()) return out;
   for (const ClassEntry& entry : classes.entries())
@@ -165,6 +166,23 @@ std::string today() {
   return fmt::format("{:04}-{:02}-{:02}", utc.tm_year + 1900, utc.tm_mon + 1, utc.tm_mday);
 }
 
+// Of 512 in the box, how many are in the frame's picture.
+int points_in_view(const FrameInfo& frame, const Box& box) {
+  constexpr int kSide = 8;
+  int seen = 0;
+  for (int i = 0; i < kSide * kSide * kSide; ++i) {
+    const Vec3d share{(i % kSide + 0.5) / kSide, (i / kSide % kSide + 0.5) / kSide, (i / kSide / kSide + 0.5) / kSide};
+    Vec3d place = box.lo;
+    for (int a = 0; a < 3; ++a) place[a] += share[a] * box.size()[a];
+    const Vec3d there = frame.world_from_camera.apply_inverse(place);
+    if (!frame.camera.sees(there)) continue;
+    double u = 0, v = 0;
+    frame.camera.project(there, u, v);
+    seen += u >= 0 && v >= 0 && u < frame.camera.width_px && v < frame.camera.height_px ? 1 : 0;
+  }
+  return seen;
+}
+
 }  // namespace
 
 ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step,
@@ -189,9 +207,11 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
       "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
   page.objects = objects_of_run(folder.string(), info.classes.valid_count());
   if (session.config.rendering.far != FarMode::background || frames.empty()) return page;
-  Vec3d sum;
-  for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;
-  page.eye = sum * (1.0 / static_cast<double>(frames.size()));
+  const auto seen = [&](int f) { return points_in_view(info.frames[static_cast<std::size_t>(f)], page.bounds); };
+  const int most = *std::max_element(frames.begin(), frames.end(), [&](int a, int b) { return seen(a) < seen(b); });
+  const Pose& camera = info.frames[static_cast<std::size_t>(most)].world_from_camera;
+  page.eye = camera.t;
+  page.ahead = camera.axis(2);
   return page;
 }
 

@@ -28,12 +28,14 @@ struct ScenePage {
   bool metric = true;        ///< distances are metres; else units of the input
   Vec3d up{0, 1, 0};         ///< unit vector of the world that is upright
   std::optional<Vec3d> eye;  ///< a place inside, world units; none: the scene is seen from outside alone
+  Vec3d ahead;               ///< unit vector of the world: where one looks from there
   Box bounds;                ///< of the scene, for a run without a surface
   int logits = 0;            ///< classes that entropy is over
   std::optional<ObjectSet> objects;
 };
 
-/// A room is looked at from where its cameras stood too; the middle of those around an object lies in the object.
+/// A room is first looked at as by the training camera that sees most of it; the middle of an object's cameras lies in
+/// the object.
 /// Objects are those of RUN/objects, with their edits, where they were found.
 /// `up`: else as the cameras of the training frames stand, or the axis y where they do not tell.
 ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step,

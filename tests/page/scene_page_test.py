@@ -101,6 +101,9 @@ def look(driver, path, page):
     view.wait("document.body.dataset.state === 'ready'", "the page draws", 60)
     assert view.text("#title") == facts["title"] and "steps of training" in view.text("#about")
     assert view.run("return performance.getEntriesByType('resource').length") == 0, "nothing is fetched"
+    assert view.run("return document.getElementById('inside').getAttribute('aria-pressed')") == "true", "a room opens inside"
+    view.click("#outside")
+    view.wait("document.getElementById('outside').getAttribute('aria-pressed') === 'true'")
     calls = view.run("return semfield.drawing.calls")
     view.click("#class")
     view.wait(f"semfield.drawing.calls === {calls + 1}", "a press of a button is one draw call")

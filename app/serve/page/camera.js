@@ -92,7 +92,7 @@ export class OrbitCamera {
     this.turnToY = rotation(facts.turn);
     this.diagonal = distance(facts.low, facts.high);
     this.middle = facts.low.map((v, i) => (v + facts.high[i]) / 2);
-    this.eyeInside = facts.eye;
+    Object.assign(this, {eyeInside: facts.eye, aheadInside: facts.ahead});
     this.screen = {width: 1, height: 1, ratio: 1};
     this.fit();
   }
@@ -106,9 +106,12 @@ export class OrbitCamera {
     this.pitch = 0.65;
     this.reach = 1.15 * this.diagonal * Math.max(1, 0.8 * this.screen.height / Math.max(this.screen.width, 1));
   }
+  /// As the training camera that sees most.
   goInside() {
+    const [x, y, z] = moved(this.turnToY, this.aheadInside);
     this.target = moved(this.turnToY, this.eyeInside).slice(0, 3);
-    this.pitch = 0.1;
+    this.yaw = Math.atan2(-x, -z);
+    this.pitch = -Math.asin(Math.max(-1, Math.min(1, y)));
     this.reach = 1e-3 * this.diagonal;
   }
   /// Turns about a place of the world, from near enough to fill half of the picture with `size`.

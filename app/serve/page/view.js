@@ -27,7 +27,8 @@ class ViewPage extends Page {
     this.listClasses();
     this.connect();
     this.resize();
-    this.camera.fit();
+    if (facts.eye === undefined) this.camera.fit();
+    else this.camera.goInside();
     this.live = isLive ? new Live(this) : null;
   }
 
