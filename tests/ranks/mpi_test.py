@@ -36,8 +36,12 @@ report: {eval_every_s: 0, strips: 0}
 
 
 class Mpirun(ProgramCase):
+    def env(self):
+        """Two of mpirun that begin at once in /tmp make the same folder, and one fails: each has a folder of its own."""
+        return {**ENV, "TMPDIR": str(self.dir)}
+
     def begin(self, ranks, *words, of_mpirun=()):
-        return self.start("-n", ranks, "--oversubscribe", *of_mpirun, PROGRAM, *words, env=ENV, program=MPIRUN)
+        return self.start("-n", ranks, "--oversubscribe", *of_mpirun, PROGRAM, *words, env=self.env(), program=MPIRUN)
 
     def ranks(self, ranks, *words):
         return self.begin(ranks, *words).wait()
@@ -157,7 +161,7 @@ class Mpirun(ProgramCase):
             # By a script: `mpirun ... : ...` of Open MPI 5.0.7 crashes.
             line = lambda words: shlex.join(["exec", PROGRAM, *words.split()])
             script = self.write("script", f'[ "$OMPI_COMM_WORLD_RANK" = 0 ] && {line(first)}\n{line(second)}\n')
-            return self.start("-n", 2, "--oversubscribe", "sh", script, env=ENV, program=MPIRUN).wait()
+            return self.start("-n", 2, "--oversubscribe", "sh", script, env=self.env(), program=MPIRUN).wait()
 
         words = f"train {config} --out {self.dir}/a"
         self.count(self.ended(both(words, f"{words} --steps 9"), 2).err,

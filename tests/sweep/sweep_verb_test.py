@@ -259,7 +259,7 @@ class SweepRanks(SweepCase):
         flag = [os.environ["SEMFIELD_MPIRUN_RECOVERY"]] if recovery else []
         root = {name: "1" for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")}
         return self.start(*flag, "-n", ranks, "--oversubscribe", PROGRAM, *self.words("--jobs", 1), program=MPIRUN,
-                          env=root)
+                          env={**root, "TMPDIR": str(self.dir)})  # as in tests/ranks/mpi_test.py
 
     def kill_the_rank_of_a_cell(self, mpirun):
         """A cell in the middle of its work, of a rank other than 0, which is killed."""
