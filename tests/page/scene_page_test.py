@@ -179,6 +179,7 @@ def look_at_report(driver, path):
     assert view.run(f"return {inside}.document.querySelector('#about').textContent").count("200 steps of training") == 1
     assert view.run("return document.title") != "a stranger"
     assert all("Content Security Policy" in text for text in view.complaints()), "of the stranger alone"
+    view.run(f"{inside}.document.getElementById('outside').click()")
     before = view.run(f"return {inside}.semfield.camera.reach")
     wheel = f"const w = {inside}, c = w.document.getElementById('canvas'); %s c.dispatchEvent(new w.WheelEvent('wheel', {{deltaY: -100, cancelable: true}}));"
     view.run(wheel % "")
