@@ -320,7 +320,11 @@ class TuneCells final : public TuneWork {
     identity_ = fmt::format("{} {} {} {}", tune_cell(plan, base, plan.length, 0, context.registry).id, plan.time_s,
                             plan.seeds, plan.aim);
     for (const TuneAxis& axis : plan.axes)
-      for (const TuneValue& value : axis.values) identity_ += "; " + value.name;
+      for (const TuneValue& value : axis.values) {
+        identity_ += "; " + value.name;
+        for (const ConfigOverride& over : value.set)
+          identity_ += " " + over.key + ": " + write_config_inline(over.value);
+      }
     told_ = read_record();
     if (told_.value("of", "") != identity_)
       throw Error(ErrorKind::cannot_create, "tune.folder.other",

@@ -10,7 +10,7 @@ import unittest
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
-SPACE = "axes:\n  train.rays: [16, 256]\n  train.adam.learning_rate: [0.0001]\n"
+SPACE = "axes:\n  train.rays: [16, 256]\n  rate:\n    slow: {train.adam.learning_rate: 0.0001}\n"
 
 
 class Tune(ProgramCase):
@@ -47,6 +47,8 @@ class Tune(ProgramCase):
         self.ended(self.words, 73, "tune did not write it")
         self.ok([*self.words, "--replace"])
         self.ended([*self.words[:-1], "out", "--seeds", 3, "--replace"], 73, "another configuration, space or plan")
+        self.write("space.yaml", SPACE.replace("0.0001", "0.0002"))  # a variant of that name is another one now
+        self.ended([*self.words, "--replace"], 73, "another configuration, space or plan")
 
     def test_a_killed_race_continues_without_loss(self):
         self.words[1:4:2] = [self.dir / "tiny.yaml", self.dir / "space.yaml"]
