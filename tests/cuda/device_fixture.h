@@ -10,6 +10,8 @@
 #include <cmath>
 #include <cstring>
 #include <optional>
+#include <type_traits>
+#include <vector>
 
 #include "core/non_copyable.h"
 #include "core/rng.h"
@@ -193,6 +195,15 @@ class DeviceLaunch : NonCopyable {
   std::optional<cuda::LaunchScope> scope_;
   Workspace arena_{cuda::arena_source()};
 };
+
+/// Values of a view of device memory without gaps.
+template <class T>
+std::vector<std::remove_const_t<T>> there(View<T> view) {
+  std::vector<std::remove_const_t<T>> values(static_cast<std::size_t>(view.size()));
+  cuda::download<std::remove_const_t<T>>(view.data, values);
+  cuda::synchronize();
+  return values;
+}
 
 inline void expect_near(double got, double want, double relative, const std::string& what) {
   EXPECT_NEAR(got, want, relative * std::max(1e-6, std::abs(want))) << what;

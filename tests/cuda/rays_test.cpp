@@ -23,6 +23,7 @@ using testing::host_view;
 using testing::random_floats;
 using testing::RayBuffers;
 using testing::TestNumbers;
+using testing::there;
 
 // Random rays; some samples are vacuum, some ray is opaque half way.
 void fill(RayBuffers<float>& rays, std::uint64_t seed, double density) {
@@ -271,14 +272,6 @@ TEST(CudaCompositor, DetachedHiddenLeavesDensityAlone) {
 }
 
 template <class T>
-std::vector<T> fetched(View<T> there, std::int64_t rows) {
-  std::vector<T> values(static_cast<std::size_t>(rows));
-  cuda::download<T>(there.data, values);
-  cuda::synchronize();
-  return values;
-}
-
-template <class T>
 std::vector<T> values_of(View<T> here, std::int64_t rows) {
   return std::vector<T>(here.data, here.data + rows);
 }
@@ -301,11 +294,11 @@ TEST(CudaCompositor, LightReachesTheSamplesThatItReachesOnTheProcessor) {
     for (const std::int64_t room : {count, count + 100}) {
       const ChosenSamples<float> got =
           cuda::stages().reached(launch.arena(), device.samples, device.sigma.read_only(), part, room);
-      EXPECT_EQ(fetched(got.samples.first, host.rays() + 1), values_of(want.samples.first, host.rays() + 1));
-      EXPECT_EQ(fetched(got.source, count), values_of(want.source, count));
-      EXPECT_EQ(fetched(got.samples.t, count), values_of(want.samples.t, count));
-      EXPECT_EQ(fetched(got.samples.delta, count), values_of(want.samples.delta, count));
-      EXPECT_EQ(fetched(got.samples.ray_of_sample, count), values_of(want.samples.ray_of_sample, count));
+      EXPECT_EQ(there(got.samples.first), values_of(want.samples.first, host.rays() + 1));
+      EXPECT_EQ(there(got.source.row_range(0, count)), values_of(want.source, count));
+      EXPECT_EQ(there(got.samples.t.row_range(0, count)), values_of(want.samples.t, count));
+      EXPECT_EQ(there(got.samples.delta.row_range(0, count)), values_of(want.samples.delta, count));
+      EXPECT_EQ(there(got.samples.ray_of_sample.row_range(0, count)), values_of(want.samples.ray_of_sample, count));
       DeviceMatrix<float> sigma(std::vector<float>(static_cast<std::size_t>(host.rows()), -1.0F), 1);
       cuda::stages().spread(got, got.samples.t, sigma.view());
       std::vector<float> spread(static_cast<std::size_t>(host.rows()), -1.0F);

@@ -26,6 +26,7 @@ namespace {
 using namespace testing_train;
 using testing::device_count;
 using testing::expect_near;
+using testing::there;
 
 // Both devices take the batch as one tile, so that rays have the same numbers.
 struct Training : TestRun {
@@ -529,13 +530,6 @@ struct Frames {
   }
 };
 
-template <class T>
-std::vector<T> there(View<const T> view) {
-  std::vector<T> values(static_cast<std::size_t>(view.size()));
-  cuda::download<T>(view.data, values);
-  cuda::synchronize();
-  return values;
-}
 template <class T>
 void expect_bits(const std::vector<T>& got, const std::vector<T>& want, const char* what) {
   ASSERT_EQ(got.size(), want.size()) << what;
