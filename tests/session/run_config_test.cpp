@@ -33,12 +33,14 @@ std::string errors_of(const std::string& yaml) {
 
 // What a preset leaves to the device; numbers that are written stay.
 TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
-  const auto chosen = [&](const std::string& levels, Device device) {
+  const auto chosen = [&](const std::string& levels, Device device, const std::string& ends = "") {
     const ConfigNode tree = parse_config_text(
         "scene: {type: analytic_room}\n"
         "passes:\n"
-        "  - sampler: {type: occupancy_grid, max_samples: 0}\n"
-        "    position: {type: hash_grid, levels: " +
+        "  - sampler: {type: occupancy_grid, max_samples: 0" +
+            ends +
+            "}\n"
+            "    position: {type: hash_grid, levels: " +
             levels +
             "}\n"
             "    field: {type: tiny_mlp}\n"
@@ -52,6 +54,9 @@ TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
   EXPECT_HAS(chosen("0", Device::cpu), "1024 3\n", "levels: 8", "max_samples: 128");
   EXPECT_HAS(chosen("0", Device::cuda), "8192 3\n", "levels: 16", "max_samples: 256");
   EXPECT_HAS(chosen("5", Device::cuda), "8192 2\n", "levels: 5");
+  EXPECT_HAS(chosen("0", Device::cpu, ", keep_last: true"), "max_samples: 48");
+  EXPECT_HAS(chosen("0", Device::cuda, ", keep_last: true"), "max_samples: 128");
+  EXPECT_HAS(chosen("0", Device::cuda, ", keep_last: true, growth: 0.01"), "max_samples: 512");
 }
 
 TEST(RunConfig, KeysOfBefore1_0AreRefusedWithTheWayOut) {

@@ -20,8 +20,12 @@ void bad_density(const double* position, double sigma) {
 }
 namespace {
 
-// docs/decisions.md, 0036. Where steps grow, a ray passes all of space.
-constexpr std::int64_t kSamplesOnCpu = 128, kSamplesOnGpu = 256, kGrowingSamplesOnGpu = 512;
+// docs/decisions.md, 0036. Where steps grow, a ray passes all of space; else one that keeps its last sample ends at a
+// wall.
+struct SamplesOn {
+  std::int64_t cpu, gpu;
+};
+constexpr SamplesOn kOpen{128, 256}, kGrowing{128, 512}, kEnclosed{48, 128};
 
 constexpr double kPadding = 0.01;  // of the longest side: walls lie on the bounds and must not lie on the grid's faces
 constexpr double kLeastSide = 0.02;    // of the longest side: a flat scene still gets cells with volume
@@ -101,8 +105,8 @@ void validate(const OccupancyGridParams& params, Diagnostics& diagnostics) {
 
 void choose_for(OccupancyGridParams& params, Device device, std::vector<std::string>& chosen) {
   if (params.max_samples != 0) return;
-  const std::int64_t on_gpu = params.growth > 0 ? kGrowingSamplesOnGpu : kSamplesOnGpu;
-  params.max_samples = device == Device::cpu ? kSamplesOnCpu : on_gpu;
+  const SamplesOn& on = params.growth > 0 ? kGrowing : params.keep_last ? kEnclosed : kOpen;
+  params.max_samples = device == Device::cpu ? on.cpu : on.gpu;
   chosen.push_back("max_samples was set to " + std::to_string(params.max_samples) + ", which suits a " +
                    (device == Device::cpu ? "CPU" : "GPU"));
 }
