@@ -11,6 +11,10 @@
 #include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
 
+namespace semfield {
+struct KeptScene;
+}
+
 namespace semfield::app {
 
 namespace fs = std::filesystem;
@@ -27,6 +31,7 @@ struct AppContext : NonCopyable {
   InputLimits limits;
   LoadProgress load_progress;
   WorkSettings work;             ///< of the main thread
+  KeptScene* kept = nullptr;     ///< of a process that runs several trainings; null: it runs one
   std::unique_ptr<Ranks> ranks;  ///< the processes that this one leads or follows; null: it is alone
   bool quiet = false;
   bool json = false;

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <poll.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -14,6 +15,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <sstream>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -97,6 +99,69 @@ pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files
                   const std::function<void()>& in_child) {
   const FileDescriptor out = output_file(files.out), log = output_file(files.log);
   return start_child(words, ChildStreams{-1, out, log}, in_child);
+}
+
+ProcessEnd process_end(int status, const rusage& usage) {
+  const auto seconds = [](const timeval& t) {
+    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
+  };
+  return {status, static_cast<double>(usage.ru_maxrss) / 1024, seconds(usage.ru_utime) + seconds(usage.ru_stime)};
+}
+
+Server::Server(const std::string& program) : child_(0) {
+  Pipe words = open_pipe(program), ends = open_pipe(program);
+  child_.pid = start_child({program, kServesWords}, ChildStreams{words.read, ends.write, STDERR_FILENO});
+  words_ = std::move(words.write);
+  ends_ = std::move(ends.read);
+}
+
+void Server::begin(std::vector<std::string> words, const ChildFiles& files) {
+  words.insert(words.begin(), {files.out, files.log});
+  std::string line;
+  for (const std::string& word : words) line += word + '\0';
+  line += '\0';
+  // A process that is gone shows by its end.
+  for (std::size_t sent = 0; sent < line.size();) {
+    const ssize_t more = write(words_, line.data() + sent, line.size() - sent);
+    if (more < 0 && errno != EINTR) return;
+    sent += more > 0 ? static_cast<std::size_t>(more) : 0;
+  }
+}
+
+std::optional<ProcessEnd> Server::end() const {
+  pollfd reader{ends_, POLLIN, 0};
+  ProcessEnd end;
+  if (poll(&reader, 1, 0) <= 0 || read(ends_, &end, sizeof(end)) != sizeof(end)) return std::nullopt;
+  return end;
+}
+
+int serve_words(const std::function<int(std::vector<char*>& words)>& run) {
+  const FileDescriptor in(fcntl(STDIN_FILENO, F_DUPFD_CLOEXEC, 3)), ends(fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 3));
+  dup2(FileDescriptor(open("/dev/null", O_RDONLY | O_CLOEXEC)), STDIN_FILENO);
+  constexpr std::string_view kEnd("\0\0", 2);  // of the last word, and of all
+  double before_s = 0;
+  std::string line;
+  std::array<char, 4096> part{};
+  while (stop_signal() == 0) {
+    const ssize_t got = read(in, part.data(), part.size());
+    if (got < 0 && errno == EINTR) continue;
+    if (got <= 0) break;
+    line.append(part.data(), static_cast<std::size_t>(got));
+    if (!line.ends_with(kEnd)) continue;
+    std::vector<char*> words;
+    for (std::size_t at = 0; at + 1 < line.size(); at = line.find('\0', at) + 1) words.push_back(&line[at]);
+    dup2(output_file(words[0]), STDOUT_FILENO);
+    dup2(output_file(words[1]), STDERR_FILENO);
+    words.erase(words.begin(), words.begin() + 2);
+    const int code = run(words);
+    line.clear();
+    rusage usage{};
+    getrusage(RUSAGE_SELF, &usage);
+    ProcessEnd end = process_end(W_EXITCODE(code, 0), usage);
+    end.processor_s -= std::exchange(before_s, end.processor_s);
+    if (write(ends, &end, sizeof(end)) != sizeof(end)) break;
+  }
+  return 0;
 }
 
 ChildEnd run_child(const std::vector<std::string>& words) {

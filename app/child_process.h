@@ -4,11 +4,14 @@
 #include <sys/types.h>
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "core/files.h"
 #include "core/non_copyable.h"
+
+struct rusage;
 
 namespace semfield::app {
 
@@ -43,6 +46,12 @@ Pipe open_pipe(const std::string& program);
 /// Waits for it: its exit code, or 128 and the number of the signal that ended it.
 int code_of_child(pid_t pid);
 
+struct ProcessEnd {
+  int status = 0;                       ///< as wait() tells it
+  double peak_mb = 0, processor_s = 0;  ///< what it used
+};
+ProcessEnd process_end(int status, const rusage& usage);
+
 /// A child that this object ends, if it still runs, by a signal.
 struct OwnedChild : NonCopyable {
   explicit OwnedChild(int by) : signal(by) {}
@@ -53,6 +62,35 @@ struct OwnedChild : NonCopyable {
   int signal;
   pid_t pid = -1;
 };
+
+// This program as a process that runs one command line after another: what the first of them opened - a scene, plugins,
+// a device - the next ones find.
+
+/// The only word of such a process.
+inline constexpr const char* kServesWords = "--serve-words";
+
+/// The process ends with this object, once it has nothing under way.
+class Server : NonCopyable {
+ public:
+  /// Throws Error(unavailable) where no process can be had.
+  explicit Server(const std::string& program);
+
+  pid_t pid() const { return child_.pid; }
+  /// Begins what a process of the program with these words would do; one at a time.
+  void begin(std::vector<std::string> words, const ChildFiles& files);
+  /// Once that has ended.
+  std::optional<ProcessEnd> end() const;
+  /// Somebody waited for the process, which is no more.
+  void is_gone() { child_.pid = -1; }
+
+ private:
+  OwnedChild child_;
+  FileDescriptor words_, ends_;
+};
+
+/// What the process does, until nobody sends words any more or a stop signal came: `run` returns the exit code of
+/// words.
+int serve_words(const std::function<int(std::vector<char*>& words)>& run);
 
 struct ChildEnd {
   int code = 0;  ///< its exit code, or 128 and the number of the signal that ended it

@@ -186,8 +186,9 @@ struct Child {
   pid_t pid = 0;
   const Cell* cell = nullptr;
   Clock::time_point start;
-  std::string device;    // which it has alone; "": what its configuration says
-  bool resumed = false;  // went on from a checkpoint: what it used is not all that the cell took
+  std::string device;              // which it has alone; "": what its configuration says
+  bool resumed = false;            // went on from a checkpoint: what it used is not all that the cell took
+  std::unique_ptr<Server> server;  // that it runs in; null: it has a process of its own
 };
 
 class Pool {
@@ -318,21 +319,37 @@ class Pool {
     write_file_atomic((folder / "config.yaml").string(), cell.config);
     const std::string device = next_device();
     const std::vector<std::string> words = words_of(cell, folder, device);
+    const ChildFiles files{(folder / "output.txt").string(), (folder / "log.txt").string()};
+    std::unique_ptr<Server> server;
     pid_t pid = 0;
     try {
-      pid = start_child(words, {(folder / "output.txt").string(), (folder / "log.txt").string()},
-                        [&] { lock.keep_over_exec(); });
+      if (options_.servers != nullptr) {
+        server = idle_server(device);
+        server->begin(words, files);
+        pid = server->pid();
+      } else {
+        pid = start_child(words, files, [&] { lock.keep_over_exec(); });
+      }
     } catch (const Error& error) {
       if (error.kind() != ErrorKind::unavailable) throw;
       throw Error(error.kind(), error.code(), "cannot start a process for a cell", "give fewer --jobs");
     }
     lock.sign(pid);
     const bool resumed = std::find(words.begin(), words.end(), "--resume") != words.end();
-    running_.push_back({std::move(lock), pid, &cell, Clock::now(), device, resumed});
+    running_.push_back({std::move(lock), pid, &cell, Clock::now(), device, resumed, std::move(server)});
+  }
+
+  std::unique_ptr<Server> idle_server(const std::string& device) const {
+    auto idle = options_.servers->extract(device);
+    return idle ? std::move(idle.mapped()) : std::make_unique<Server>(options_.program);
   }
 
   // Waits until a child ends or a moment has passed.
   void collect() {
+    for (auto child = running_.begin(); child != running_.end(); ++child) {
+      const std::optional<ProcessEnd> end = child->server ? child->server->end() : std::nullopt;
+      if (end) return collect(child, *end);
+    }
     int status = 0;
     rusage usage{};
     const pid_t pid = wait4(-1, &status, WNOHANG, &usage);
@@ -340,22 +357,33 @@ class Pool {
       std::this_thread::sleep_for(std::chrono::milliseconds(20));
       return;
     }
+    if (options_.servers != nullptr)
+      std::erase_if(*options_.servers, [&](const auto& idle) {
+        if (idle.second->pid() == pid) idle.second->is_gone();
+        return idle.second->pid() < 0;
+      });
     const auto ended = std::find_if(running_.begin(), running_.end(), [&](const Child& c) { return c.pid == pid; });
     if (ended == running_.end()) return;
-    const Child child = std::move(*ended);  // its lock is held until all that it leaves is written
+    if (ended->server) std::exchange(ended->server, nullptr)->is_gone();
+    collect(ended, process_end(status, usage));
+  }
+
+  void collect(std::vector<Child>::iterator ended, const ProcessEnd& end) {
+    Child child = std::move(*ended);  // its lock is held until all that it leaves is written
     running_.erase(ended);
     next_look_ = {};
-    cell_gb_ = std::max(measured_ == 0 ? 0 : cell_gb_, static_cast<double>(usage.ru_maxrss) / (1 << 20));
+    if (child.server) options_.servers->emplace(child.device, std::move(child.server));
+    cell_gb_ = std::max(measured_ == 0 ? 0 : cell_gb_, end.peak_mb / 1024);
     ++measured_;
     const Cell& cell = *child.cell;
     CellOutcome outcome{&cell, {}, std::chrono::duration<double>(Clock::now() - child.start).count()};
-    CellValues used{{"peak_mb", static_cast<double>(usage.ru_maxrss) / 1024}};
-    if (!child.resumed) used.emplace_back("processor_s", seconds_of(usage.ru_utime) + seconds_of(usage.ru_stime));
+    CellValues used{{"peak_mb", end.peak_mb}};
+    if (!child.resumed) used.emplace_back("processor_s", end.processor_s);
     const fs::path folder = cell_folder(options_.folder, cell.id);
-    if (WIFEXITED(status) && WEXITSTATUS(status) == 0) {
+    if (WIFEXITED(end.status) && WEXITSTATUS(end.status) == 0) {
       take_result(cell, folder, used, outcome);
     } else if (stop_signal() == 0) {
-      outcome.failure = child_failure(status, (folder / "log.txt").string());
+      outcome.failure = child_failure(end.status, (folder / "log.txt").string());
     } else {
       return;  // stopped with us
     }
@@ -364,10 +392,6 @@ class Pool {
       ended_.failures[cell.id] = outcome.failure;
     }
     hooks_.finished(outcome);
-  }
-
-  static double seconds_of(const timeval& t) {
-    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
   }
 
   static CellValues values_of(const Cell& cell, const fs::path& folder) {

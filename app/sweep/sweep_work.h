@@ -4,10 +4,12 @@
 
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "app/child_process.h"
 #include "core/files.h"
 #include "eval/report/sweep.h"
 
@@ -68,6 +70,9 @@ class SweepFolder {
   FolderLock at_work_;
 };
 
+/// Processes that run cells and have none just now, by their devices.
+using IdleServers = std::multimap<std::string, std::unique_ptr<Server>>;
+
 struct PoolOptions {
   std::string folder;                ///< of the sweep: holds cells/<id>/
   std::string program;               ///< whose verbs train and fuse: own_program()
@@ -78,6 +83,9 @@ struct PoolOptions {
   std::vector<std::string> devices;  ///< by the names of runtime.device: a cell at a time on each; none: as cells say
   bool keep_checkpoints = false;
   std::vector<std::string> modules;  ///< files of plugins that cells load
+  /// Cells run one after another in processes that come from here and go back, so that a scene is loaded once; null:
+  /// each cell has a process of its own.
+  IdleServers* servers = nullptr;
 };
 
 struct CellOutcome {

@@ -474,7 +474,9 @@ int run(const TuneOptions& options, AppContext& context) {
   TunePlan plan = tune_plan(options, read);
   plan.config = config;
   plan.path = path;
+  IdleServers servers;
   PoolOptions pool;
+  pool.servers = &servers;
   pool.devices = own_devices(options.devices, place);
   pool.jobs = pool.devices.empty() ? options.jobs.value_or(1) : static_cast<int>(pool.devices.size());
   pool.threads = std::max(1, thread_count() / pool.jobs);

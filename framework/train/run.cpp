@@ -131,6 +131,7 @@ ResumePoint Run::open(RunConfig config, const TrainRequest& request, TrainingLis
   options.keep = request.keep;
   options.probe = true;
   options.ranks = request.ranks;
+  options.kept = request.kept;
   if (config.report.training_frames > 0) options.depth = DepthKept::all;
   if (!out_dir.empty()) settle_click_file(config.labels, out_dir);
   if (!request.resume && !out_dir.empty()) RunFolder::require_new(out_dir);

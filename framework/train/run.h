@@ -73,6 +73,7 @@ struct TrainRequest {
   Ranks* ranks = nullptr;              ///< SessionOptions::ranks
   AskedLength more = {};               ///< with `resume`: what it trains from its checkpoint on; neither: to its end
   Driver driver = Driver::program;
+  KeptScene* kept = nullptr;  ///< SessionOptions::kept
 };
 
 struct TrainOutcome {

@@ -110,6 +110,36 @@ void require_frame_memory(double memory_gb, std::size_t bytes, std::size_t frame
               "raise scene.load.downscale, take fewer frames, or raise runtime.memory_gb where it sets the limit");
 }
 
+// All that tells the loader which scene it makes.
+std::string load_settings(const RunConfig& config, const SceneLoadOptions& load) {
+  const ConfigNode all = resolved_config(config);
+  std::string text = config.base_dir;
+  for (const char* section : {"scene", "limits"})
+    if (const ConfigNode* node = all.find(section)) text += "\n" + write_config_inline(*node);
+  return text + fmt::format("\n{} {} {} {} {} {} {}", static_cast<int>(load.depth), load.with_instances,
+                            load.contracted, load.exposure, load.pixels, load.check_geometry, join(load.channels));
+}
+
+// Loads the scene, or copies the kept one where that is the same; it is kept where memory has room for both.
+LoadedScene load_or_copy(Dataset& dataset, SceneLoadOptions load, const RunConfig& config, KeptScene* kept,
+                         Diagnostics& diagnostics) {
+  std::size_t scene_bytes = 0;
+  load.before_pixels = [&](std::size_t bytes, std::size_t frames) {
+    require_frame_memory(config.runtime.memory_gb, bytes, frames);
+    scene_bytes = bytes;
+  };
+  if (kept == nullptr) return load_scene(dataset, load, diagnostics);
+  const std::string settings = load_settings(config, load);
+  if (kept->settings != settings) {
+    *kept = {};
+    kept->scene = load_scene(dataset, load, kept->found);
+    if (!kept->found.has_errors() && scene_bytes < available_memory() / 2) kept->settings = settings;
+  }
+  for (const Diagnostic& one : kept->found.all()) diagnostics.add(one);
+  if (kept->settings.empty()) return std::move(kept->scene);
+  return kept->scene;
+}
+
 // What the plan leaves out stands in the configuration no more, so that a resume trains the same heads by the same
 // terms.
 void drop_idle(Session& s) {
@@ -157,15 +187,12 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
-  load.before_pixels = [&](std::size_t bytes, std::size_t frames) {
-    require_frame_memory(s.config.runtime.memory_gb, bytes, frames);
-  };
-  s.scene = load_scene(*dataset, load, diagnostics);
+  s.scene = load_or_copy(*dataset, std::move(load), s.config, options.kept, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
   if (options.trained_classes)
     require_class_table(*options.trained_classes, s.scene.info.classes, s.config.labels.clicks);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
-  if (load.pixels) read_test_labels(s.scene, s.config.labels, diagnostics);
+  if (options.pixels || !options.known) read_test_labels(s.scene, s.config.labels, diagnostics);
   if (make_labels) s.labels = make_training_labels(s.scene, s.config.labels, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the labels have problems:");
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);

@@ -47,6 +47,14 @@ struct Session {
 /// build the same network.
 void keep_components(RunConfig& config, const std::vector<std::string>& components);
 
+/// The scene that was loaded last, as it was loaded: later sessions of this process that would load an equal one copy
+/// it.
+struct KeptScene {
+  std::string settings;  ///< all that reaches the loader; "": none is kept
+  LoadedScene scene;
+  Diagnostics found;
+};
+
 struct SessionOptions {
   std::vector<std::string> keep;  ///< components forced back in
   bool trainable = true;
@@ -59,6 +67,7 @@ struct SessionOptions {
   Ranks* ranks = nullptr;      ///< processes that this session's work is shared with; null: none
   bool instances = false;      ///< keep the instances of frames
   bool labels = false;         ///< make the training labels although `known` is given
+  KeptScene* kept = nullptr;   ///< looked at before the scene is loaded, and replaced; null: it is loaded
   LoadProgress progress = {};  ///< told while the scene is opened; null: whom the caller's WorkSettings tell
   /// The class table that the network was trained with, as YAML; a scene with another one is refused.
   std::optional<std::string> trained_classes;
