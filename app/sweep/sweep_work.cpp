@@ -256,6 +256,7 @@ class Pool {
     } else {
       words.insert(words.end(), {"train", config, "--out", run});
     }
+    if (cell.trains() && options_.servers != nullptr) words.emplace_back("--no-3d");  // nobody looks at so many
     words.insert(words.end(), {"--set", threads, "-q"});
     if (!device.empty()) words.insert(words.end(), {"--set", "runtime.device=" + device});
     for (const std::string& module : options_.modules) words.insert(words.end(), {"--plugin", module});

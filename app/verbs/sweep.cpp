@@ -314,7 +314,7 @@ std::string space_of(const RunConfig& config) {
 // Rounds as FOLDER/tune.json has them, and their cells as processes.
 class TuneCells final : public TuneWork {
  public:
-  TuneCells(const TunePlan& plan, const PoolOptions& pool, AppContext& context, bool dry)
+  TuneCells(TunePlan& plan, const PoolOptions& pool, AppContext& context, bool dry)
       : plan_(plan), pool_(pool), context_(context), dry_(dry) {
     const TuneChoice base(plan.axes.size(), -1);
     identity_ = fmt::format("{} {} {} {}", tune_cell(plan, base, plan.length, 0, context.registry).id, plan.time_s,
@@ -370,6 +370,7 @@ class TuneCells final : public TuneWork {
       dry_s_ += cost_s;
       return imagined(round);
     }
+    besides_s_ = ran_ = 0;
     PoolHooks hooks;
     hooks.finished = [&](const CellOutcome& outcome) { finished(outcome); };
     hooks.waits_for = [&](const std::string& text) { print_note(context_, text); };
@@ -377,6 +378,7 @@ class TuneCells final : public TuneWork {
     TuneScores scores(cells.size());
     for (std::size_t c = 0; c < cells.size(); ++c)
       for (const Cell& cell : cells[c]) scores[c].push_back(ended_.results[cell.id]);
+    if (rounds_ == 1) plan_.score_stride = score_stride_for(plan_, scores[0][0]);
     return scores;
   }
 
@@ -415,7 +417,7 @@ class TuneCells final : public TuneWork {
     return scores;
   }
 
-  const TunePlan& plan_;
+  TunePlan& plan_;
   const PoolOptions& pool_;
   AppContext& context_;
   bool dry_;
@@ -423,7 +425,8 @@ class TuneCells final : public TuneWork {
   Json told_;
   std::size_t rounds_ = 0;
   double before_s_ = 0, dry_s_ = 0, besides_s_ = 0;
-  double cell_s_ = 3, step_s_ = 0.02;  // what a cell takes besides training, and a step: guesses until one has ended
+  double cell_s_ = 3,
+         step_s_ = 0.02;  // what a cell of the last round took besides training, and a step: guesses at first
   int ran_ = 0;
   std::set<std::string> ids_;
   EndedCells ended_;

@@ -43,6 +43,28 @@ TEST(Determinism, AnotherSeedGivesAnotherRun) {
             train_fingerprint(two_pass_config("runtime: {seed: 2}\n"), 2, 3));
 }
 
+TEST(Determinism, AKeptSceneIsLoadedOnceAndTrainsTheSameBits) {
+  KeptScene kept;
+  const auto open = [&](const std::string& more, KeptScene* from) {
+    Diagnostics diagnostics;
+    RunConfig config = read_run_config(parse_config_text(hash_config(more), "test.yaml"), all_plugins(), diagnostics);
+    return open_session(std::move(config), all_plugins(), {.kept = from}, diagnostics);
+  };
+  const auto bits = [&](KeptScene* from) {
+    Session s = open("", from);
+    Trainer trainer(s);
+    while (trainer.step() < 3) trainer.advance(3 - trainer.step());
+    trainer.collect();
+    return fingerprint(s.pipeline->store());
+  };
+  const std::uint32_t own = bits(nullptr);
+  EXPECT_EQ(bits(&kept), own);
+  kept.scene.info.name = "kept";
+  EXPECT_EQ(open("report: {eval_stride: 2}\nruntime: {seed: 3}\n", &kept).scene.info.name, "kept");
+  EXPECT_EQ(bits(&kept), own);
+  EXPECT_NE(open("losses: [{type: depth, weight: 0.1}]\n", &kept).scene.info.name, "kept") << "depth is kept for it";
+}
+
 TEST(Determinism, NoMemoryIsRequestedInSteadyState) {
   Session s = open_text(two_pass_config());
   Trainer trainer(s);

@@ -61,7 +61,7 @@ class Tune(ProgramCase):
         after = self.results()
         self.assertEqual({cell: after[cell] for cell in before}, before)
         record = json.loads((self.dir / "out/tune.json").read_text())
-        self.assertEqual([one["name"] for one in record["rounds"]][:2], ["as configured", "alone"])
+        self.assertEqual([one["name"] for one in record["rounds"]][:3], ["warm-up", "as configured", "alone"])
 
     def test_mistakes_are_named(self):
         self.write("space.yaml", "axes:\n  train.rayz: [3]\n")

@@ -9,7 +9,9 @@
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <tuple>
+#include <utility>
 
 #include "config/compose.h"
 #include "config/settings/choices.h"
@@ -26,9 +28,10 @@ namespace {
 
 constexpr std::array kParts{1., 0.5, 0.25, 0.125, 0.0625};  // of the full length that rounds may have
 constexpr int kHoldOut = 8;
-constexpr int kScoreStride = 3;  // paired cells score the same pixels, and on a CPU all of them cost more than training
+constexpr double kMostScored_px = 4e5;    // paired cells score the same pixels, and all of them cost more than training
+constexpr std::size_t kMostTogether = 6;  // values that are combined
 // Shares of the time by whose end a round ends, if it can.
-constexpr double kAloneUntil = 0.4, kBestUntil = 0.55, kTogetherUntil = 0.7, kFullUntil = 0.8, kOutUntil = 0.95;
+constexpr double kAloneUntil = 0.4, kTogetherUntil = 0.6, kAroundUntil = 0.72, kFullUntil = 0.82, kOutUntil = 0.93;
 
 const std::vector<TuneAim> kAims{{"psnr", "psnr", "dB", 0.05, 2},
                                  {"miou", "miou_present", "mIoU", 0.005, 3},
@@ -176,7 +179,7 @@ Cell tune_cell(const TunePlan& plan, const TuneChoice& choice, double length, in
   ask(run, plan.in_steps ? AskedLength{std::llround(length), 0} : AskedLength{0, length});
   if (run.load.hold_out == 0) run.load.hold_out = kHoldOut;
   run.report.eval_share = 0;  // every candidate is scored on the same pixels
-  run.report.eval_stride = kScoreStride;
+  run.report.eval_stride = plan.score_stride;
   run.report.eval_every_s = 0;
   run.report.strips = run.report.worst_frames = run.report.training_frames = 0;
   Cell cell;
@@ -189,6 +192,11 @@ Cell tune_cell(const TunePlan& plan, const TuneChoice& choice, double length, in
   return cell;
 }
 
+int score_stride_for(const TunePlan& plan, const CellValues& scored) {
+  const double pixels = value_of(scored, "pixels").value_or(0);
+  return static_cast<int>(std::ceil(plan.score_stride * std::max(1.0, std::sqrt(pixels / kMostScored_px))));
+}
+
 // The race.
 
 namespace {
@@ -199,8 +207,8 @@ class Race {
       : axes_(plan.axes), plan_(plan), work_(work), aim_(tune_aim(plan.aim)), base_(axes_.size(), -1) {}
 
   TuneOutcome run() {
-    out_.best = best_alone_ = base_;
-    out_.whole = configured() && alone() && best_third() && together() && full() && leave_out();
+    out_.best = second_ = base_;
+    out_.whole = configured() && alone() && together() && around() && full() && leave_out();
     out_.noise = noise(aim_);
     return std::move(out_);
   }
@@ -215,36 +223,50 @@ class Race {
     return static_cast<std::size_t>(std::mismatch(a.begin(), a.end(), b.begin()).first - a.begin());
   }
 
-  double cost_s(std::size_t candidates, int seeds, double length) const {
-    const double turns = std::ceil(static_cast<double>(candidates) * seeds / plan_.at_a_time);
-    return turns * (work_.cell_s() + length * unit_s_);
+  double whole(double length) const { return plan_.in_steps ? std::max(1.0, std::round(length)) : length; }
+  // Of the cells that have not been trained yet.
+  double cost_s(const std::vector<TuneChoice>& candidates, int seeds, double length) const {
+    std::set<Known> cells;
+    for (const TuneChoice& candidate : candidates)
+      for (int seed = 0; seed < seeds; ++seed) cells.insert({candidate, length, seed});
+    const auto is_new = std::count_if(cells.begin(), cells.end(), [&](const Known& k) { return !known_.contains(k); });
+    return std::ceil(static_cast<double>(is_new) / plan_.at_a_time) * (work_.cell_s() + length * unit_s_);
   }
   double left_s(double until) const { return until * plan_.time_s - work_.spent_s(); }
-  // The longest training, at most `most` of the full length, with which as many of the first candidates as possible end
-  // in time, two at least; all seeds, or one. No candidates: there are no two, or no time.
-  TuneRound fit(const std::string& name, std::vector<TuneChoice> candidates, double most, double until) {
-    for (const std::size_t all = candidates.size(); candidates.size() > 1; candidates.pop_back())
+  // As many of the first candidates as possible, half of them at least, that end in time; then all seeds, or one, and
+  // the longest training from `least` to `most`. Where half of them do not, two may do, of any length. No candidates:
+  // there are no two, or no time.
+  TuneRound fit(const std::string& name, const std::vector<TuneChoice>& candidates, double least, double most,
+                double until) {
+    const std::size_t fewest = std::max<std::size_t>(2, least > 0 ? candidates.size() / 2 : 2);
+    for (std::vector<TuneChoice> some = candidates; some.size() >= fewest; some.pop_back())
       for (const int seeds : {plan_.seeds, 1})
         for (const double part : kParts) {
-          if (part > most || cost_s(candidates.size(), seeds, part * plan_.length) > left_s(until)) continue;
-          if (candidates.size() < all)
-            note(fmt::format("time for {} of {} in the round '{}'", candidates.size() - 1, all - 1, name));
-          return {name, part * plan_.length, seeds, std::move(candidates)};
+          const double length = whole(part * plan_.length);
+          if (length < least || length > most || cost_s(some, seeds, length) > left_s(until)) continue;
+          if (some.size() < candidates.size())
+            note(fmt::format("time for {} of {} in the round '{}'", some.size() - 1, candidates.size() - 1, name));
+          return {name, length, seeds, std::move(some)};
         }
+    if (least > 0) return fit(name, candidates, 0, most, until);
     return {name, 0, 1, {}};
   }
   void note(const std::string& text) { out_.notes.push_back(text); }
 
-  // False: stopped. A round without candidates is left out.
-  bool round(TuneRound wanted) {
-    if (plan_.in_steps) wanted.length = std::max(1.0, std::round(wanted.length));
+  // False: stopped. A round without candidates is left out, and the one before stays the last.
+  bool round(const TuneRound& wanted) {
     TuneRound agreed = work_.agreed(wanted);
-    std::optional<TuneScores> scores;
-    if (!agreed.candidates.empty() && !(scores = work_.run(agreed))) return false;
-    out_.rounds.push_back({std::move(agreed), scores ? std::move(*scores) : TuneScores()});
-    for (const TuneAim& aim : kAims) learn_noise(aim);
+    skipped_ = agreed.candidates.empty();
+    if (skipped_) return true;
+    std::optional<TuneScores> scores = work_.run(agreed);
+    if (!scores) return false;
+    out_.rounds.push_back({std::move(agreed), std::move(*scores)});
     double all_s = 0;
-    for (std::size_t c = 0; c < last().candidates.size(); ++c) all_s += step_s(c);
+    for (std::size_t c = 0; c < last().candidates.size(); ++c) {
+      all_s += step_s(c);
+      for (int seed = 0; seed < last().seeds; ++seed) known_.insert({last().candidates[c], last().length, seed});
+    }
+    for (const TuneAim& aim : kAims) learn_noise(aim);
     if (plan_.in_steps && all_s > 0) unit_s_ = all_s / static_cast<double>(last().candidates.size());
     return true;
   }
@@ -301,8 +323,23 @@ class Race {
     return order;
   }
 
+  // What this scene has no data for is no candidate.
+  bool has_data(const TuneAxis& axis) const {
+    const CellValues& scored = out_.rounds.front().second[0][0];
+    const auto idle = [&](const ConfigOverride& over) {
+      const bool labels = over.key.starts_with("semantics.") || over.key.ends_with(".semantic");
+      return (labels && !value_of(scored, "miou_present")) ||
+             ((over.key + ".").starts_with("losses.depth.") && !value_of(scored, "absrel"));
+    };
+    const std::vector<ConfigOverride>& set = axis.values[0].set;
+    return !std::all_of(set.begin(), set.end(), idle);
+  }
+
+  // Each process loads the scene first, which is no part of what later cells take.
   bool configured() {
-    if (!round({"as configured", plan_.length / 8, plan_.seeds, {base_}})) return false;
+    if (!round({"warm-up", whole(plan_.length / 16), plan_.at_a_time, {base_}}) ||
+        !round({"as configured", whole(plan_.length / 8), plan_.seeds, {base_}}))
+      return false;
     for (const CellValues& values : scores()[0])
       if (!value_of(values, aim_.metric))
         throw Error(ErrorKind::data, "tune.score.missing",
@@ -314,59 +351,61 @@ class Race {
   bool alone() {
     std::vector<TuneChoice> candidates{base_};
     for (std::size_t axis = 0; axis < axes_.size(); ++axis)
-      for (int value = 0; value < std::ssize(axes_[axis].values) && !axes_[axis].is_part; ++value)
+      for (int value = 0; value < std::ssize(axes_[axis].values) && !axes_[axis].is_part && has_data(axes_[axis]);
+           ++value)
         candidates.push_back(with(base_, axis, value));
-    return round(fit("alone", std::move(candidates), 0.25, kAloneUntil));
+    return round(fit("alone", candidates, whole(plan_.length / 8), whole(plan_.length / 4), kAloneUntil));
   }
 
-  bool best_third() {
+  // The best value of each axis: two of them, three, ... And the better third of the values.
+  bool together() {
     std::vector<TuneChoice> candidates{base_};
+    TuneChoice sum = base_;
+    std::size_t summed = 0;
+    for (const std::size_t c : ranking()) {
+      gained_.push_back(last().candidates[c]);
+      const std::size_t axis = axis_of(gained_.back(), base_);
+      if (sum[axis] >= 0 || summed++ >= kMostTogether) continue;
+      sum[axis] = gained_.back()[axis];
+      candidates.push_back(sum);
+    }
+    const std::size_t third = std::min(gained_.size(), last().candidates.size() / 3 + 1);
+    for (std::size_t i = 1; i < third; ++i) candidates.push_back(gained_[i]);
+    if (gained_.empty()) return true;
+    if (!round(fit("together", candidates, last().length, whole(plan_.length / 2), kTogetherUntil))) return false;
+    if (skipped_) {
+      note(fmt::format("no time to try {} with the others", choice_name(axes_, gained_[0])));
+      out_.best = gained_[0];
+      return true;
+    }
     const std::vector<std::size_t> order = ranking();
-    for (std::size_t i = 0; i < std::min(order.size(), last().candidates.size() / 3 + 1); ++i)
-      candidates.push_back(last().candidates[order[i]]);
-    const auto alone = out_.rounds.back();
-    if (!round(fit("better third", std::move(candidates), 0.5, kBestUntil))) return false;
-    if (last().candidates.empty()) out_.rounds.back() = alone;
+    if (!order.empty()) out_.best = last().candidates[order[0]];
+    if (order.size() > 1) second_ = last().candidates[order[1]];
     return true;
   }
 
-  // The best value of each axis, best gain first; one that adds no more than noise is left out.
-  bool together() {
-    std::vector<TuneChoice> winners;
-    for (const std::size_t c : ranking()) {
-      const std::size_t axis = axis_of(last().candidates[c], base_);
-      if (std::none_of(winners.begin(), winners.end(), [&](const TuneChoice& w) { return w[axis] >= 0; }))
-        winners.push_back(last().candidates[c]);
+  // With each other value that gained, in the place of what the best one has.
+  bool around() {
+    if (out_.best == base_) return true;
+    std::vector<TuneChoice> candidates{out_.best};
+    for (const TuneChoice& one : gained_) {
+      const std::size_t axis = axis_of(one, base_);
+      if (out_.best[axis] != one[axis]) candidates.push_back(with(out_.best, axis, one[axis]));
     }
-    const double length = last().length;
-    const int seeds = last().seeds;
-    for (const TuneChoice& winner : winners) {
-      if (out_.best == base_) {
-        out_.best = best_alone_ = winner;
-        continue;
-      }
-      const std::size_t axis = axis_of(winner, base_);
-      const TuneChoice trial = with(out_.best, axis, winner[axis]);
-      const bool in_time = cost_s(1, seeds, length) <= left_s(kTogetherUntil);
-      const std::vector<TuneChoice> both{out_.best, trial};
-      if (!round({"together", length, seeds, in_time ? both : std::vector<TuneChoice>()})) return false;
-      if (last().candidates.empty()) {
-        note(fmt::format("no time to try {} with the others", choice_name(axes_, winner)));
-      } else if (gain(aim_, 1).mean > noise(aim_) && !harms(1)) {
-        out_.best = trial;
-      }
-    }
+    if (!round(fit("around the best", candidates, last().length, whole(plan_.length / 2), kAroundUntil))) return false;
+    const std::vector<std::size_t> order = ranking();
+    if (skipped_ || order.empty() || gain(aim_, order[0]).mean <= noise(aim_)) return true;
+    second_ = std::exchange(out_.best, last().candidates[order[0]]);
     return true;
   }
 
   bool full() {
     if (out_.best == base_) return true;
     std::vector<TuneChoice> candidates{base_, out_.best};
-    if (best_alone_ != out_.best) candidates.push_back(best_alone_);
-    const TuneRound before = last();
-    TuneRound wanted = fit("full length", candidates, 1, kFullUntil);
-    if (wanted.candidates.empty()) wanted = {wanted.name, before.length, before.seeds, {base_, out_.best}};
-    if (!round(std::move(wanted))) return false;
+    if (second_ != base_) candidates.push_back(second_);
+    TuneRound wanted = fit("full length", candidates, last().length, plan_.length, kFullUntil);
+    if (wanted.candidates.empty()) wanted = {wanted.name, last().length, last().seeds, {base_, out_.best}};
+    if (!round(wanted)) return false;
     if (last().length < plan_.length)
       note(fmt::format("no time for the full length: the last few trained {:.0f} % of it",
                        100 * last().length / plan_.length));
@@ -389,9 +428,11 @@ class Race {
   bool leave_out() {
     std::vector<TuneChoice> candidates{out_.best};
     for (std::size_t axis = 0; axis < axes_.size(); ++axis)
-      if (axes_[axis].is_part || out_.best[axis] >= 0)
+      if ((axes_[axis].is_part && has_data(axes_[axis])) || out_.best[axis] >= 0)
         candidates.push_back(with(out_.best, axis, axes_[axis].is_part ? 0 : -1));
-    if (!round(fit("leave out", std::move(candidates), 1, kOutUntil))) return false;
+    if (!round(fit("leave out", candidates, out_.best == base_ ? 0 : last().length, plan_.length, kOutUntil)))
+      return false;
+    if (skipped_) return true;
     TuneChoice reduced = out_.best;
     for (std::size_t c = 1; c < last().candidates.size(); ++c) {
       const TuneGain out = gain(aim_, c);
@@ -406,13 +447,16 @@ class Race {
     }
     if (reduced == out_.best) return true;
     // Parts that are nothing each may be something together.
-    if (!round({"reduced", last().length, last().seeds, {out_.best, reduced}})) return false;
-    if (gain(aim_, 1).mean >= -slight() && !harms(1)) {
+    const std::vector<TuneChoice> both{out_.best, reduced};
+    const bool in_time = cost_s(both, last().seeds, last().length) <= left_s(1);
+    if (!round({"reduced", last().length, last().seeds, in_time ? both : std::vector<TuneChoice>()})) return false;
+    if (!skipped_ && gain(aim_, 1).mean >= -slight() && !harms(1)) {
       out_.best = reduced;
       return true;
     }
     for (TunePart& part : out_.parts) part.kept = true;
-    note("more than noise in parts together that cost nothing each: none was left out");
+    note(skipped_ ? "no time to leave several parts out together: none was left out"
+                  : "more than noise in parts together that cost nothing each: none was left out");
     return true;
   }
 
@@ -420,7 +464,11 @@ class Race {
   const TunePlan& plan_;
   TuneWork& work_;
   const TuneAim& aim_;
-  TuneChoice base_, best_alone_;
+  bool skipped_ = false;  // the round was left out
+  TuneChoice base_, second_;
+  std::vector<TuneChoice> gained_;                    // alone, best first
+  using Known = std::tuple<TuneChoice, double, int>;  // length and seed
+  std::set<Known> known_;
   double unit_s_ = 1;  // seconds of a unit of length
   std::map<std::string, double> noise_;
   TuneOutcome out_;
@@ -530,7 +578,7 @@ std::pair<std::string, std::string> tune_tables(const TunePlan& plan, const Tune
   const TuneAim &aim = tune_aim(plan.aim), &shown = tune_aim(aim.name == "time" ? "psnr" : aim.name);
   std::string note = fmt::format(
       "Scored on held-out training views, every {}th pixel across and down; test frames were not looked at. Best: {}. ",
-      kScoreStride, choice_name(plan.axes, outcome.best));
+      plan.score_stride, choice_name(plan.axes, outcome.best));
   note += outcome.gain.seeds == 0 ? "No setting gains more than noise."
                                   : fmt::format("{} over the configuration; noise is {:.{}f} {}.",
                                                 gain_text(aim, outcome.gain), outcome.noise, aim.digits, aim.unit);
@@ -543,7 +591,6 @@ std::pair<std::string, std::string> tune_tables(const TunePlan& plan, const Tune
   parts.push_back(
       section("decided", "What decided", "Each difference and each optional part, taken out once.", decided));
   for (const auto& [round, scores] : outcome.rounds) {
-    if (round.candidates.empty()) continue;
     Table table{{"candidate", metric_label(shown.metric), "mIoU", "seconds of training", "steps"}};
     for (std::size_t c = 0; c < round.candidates.size(); ++c)
       table.push_back({choice_name(plan.axes, round.candidates[c]), mean_text(scores[c], shown.metric, 3),

@@ -54,6 +54,7 @@ struct TunePlan {
   int seeds = 2;
   int at_a_time = 1;
   std::string aim = "psnr";
+  int score_stride = 3;  ///< every so many pixels of held-out views, across and down
 };
 
 /// Candidates trained for one length, each with the first `seeds` seeds.
@@ -103,6 +104,9 @@ struct TuneOutcome {
   std::vector<std::string> notes;  ///< what there was no time for
   std::vector<std::pair<TuneRound, TuneScores>> rounds;
 };
+
+/// Where a cell has scored more pixels than tell two candidates apart, a larger stride for those to come.
+int score_stride_for(const TunePlan& plan, const CellValues& scored);
 
 ConfigNode with_choice(const TunePlan& plan, const TuneChoice& choice);
 
