@@ -373,7 +373,8 @@ class Pool {
     Child child = std::move(*ended);  // its lock is held until all that it leaves is written
     running_.erase(ended);
     next_look_ = {};
-    if (child.server) options_.servers->emplace(child.device, std::move(child.server));
+    // One whose cell failed may have lost its device, and ends.
+    if (child.server && end.status == 0) options_.servers->emplace(child.device, std::move(child.server));
     cell_gb_ = std::max(measured_ == 0 ? 0 : cell_gb_, end.peak_mb / 1024);
     ++measured_;
     const Cell& cell = *child.cell;

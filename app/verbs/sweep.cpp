@@ -425,8 +425,7 @@ class TuneCells final : public TuneWork {
   Json told_;
   std::size_t rounds_ = 0;
   double before_s_ = 0, dry_s_ = 0, besides_s_ = 0;
-  double cell_s_ = 3,
-         step_s_ = 0.02;  // what a cell of the last round took besides training, and a step: guesses at first
+  double cell_s_ = 1.5, step_s_ = 0.02;  // what cells of a round take besides training, and a step: guesses at first
   int ran_ = 0;
   std::set<std::string> ids_;
   EndedCells ended_;

@@ -39,6 +39,8 @@ class Tune(ProgramCase):
         # No cell saw the test frames, and each held out training views.
         for cell in (self.dir / "out").glob("cells/*/config.yaml"):
             self.has(cell.read_text(), "hold_out: 8")
+        # One process ran them, which loaded the scene once for each set of its settings.
+        self.assertEqual(len({lock.read_text() for lock in (self.dir / "out").glob("cells/*/.lock")}), 1)
         # Again: nothing runs, the same file; a file of somebody else is kept.
         before = self.results()
         self.ok(self.words)
