@@ -31,7 +31,7 @@ constexpr int kHoldOut = 8;
 constexpr double kMostScored_px = 4e5;    // paired cells score the same pixels, and all of them cost more than training
 constexpr std::size_t kMostTogether = 6;  // values that are combined
 // Shares of the time by whose end a round ends, if it can.
-constexpr double kAloneUntil = 0.4, kTogetherUntil = 0.6, kAroundUntil = 0.72, kFullUntil = 0.82, kOutUntil = 0.93;
+constexpr double kAloneUntil = 0.38, kTogetherUntil = 0.52, kAroundUntil = 0.62, kFullUntil = 0.82, kOutUntil = 0.94;
 
 const std::vector<TuneAim> kAims{{"psnr", "psnr", "dB", 0.05, 2},
                                  {"miou", "miou_present", "mIoU", 0.005, 3},
@@ -257,6 +257,7 @@ class Race {
   bool round(const TuneRound& wanted) {
     TuneRound agreed = work_.agreed(wanted);
     skipped_ = agreed.candidates.empty();
+    if (skipped_) note(fmt::format("no time for the round '{}'", agreed.name));
     if (skipped_) return true;
     std::optional<TuneScores> scores = work_.run(agreed);
     if (!scores) return false;
@@ -354,7 +355,8 @@ class Race {
       for (int value = 0; value < std::ssize(axes_[axis].values) && !axes_[axis].is_part && has_data(axes_[axis]);
            ++value)
         candidates.push_back(with(base_, axis, value));
-    return round(fit("alone", candidates, whole(plan_.length / 8), whole(plan_.length / 4), kAloneUntil));
+    return candidates.size() == 1 ||
+           round(fit("alone", candidates, whole(plan_.length / 8), whole(plan_.length / 4), kAloneUntil));
   }
 
   // The best value of each axis: two of them, three, ... And the better third of the values.
@@ -373,11 +375,6 @@ class Race {
     for (std::size_t i = 1; i < third; ++i) candidates.push_back(gained_[i]);
     if (gained_.empty()) return true;
     if (!round(fit("together", candidates, last().length, whole(plan_.length / 2), kTogetherUntil))) return false;
-    if (skipped_) {
-      note(fmt::format("no time to try {} with the others", choice_name(axes_, gained_[0])));
-      out_.best = gained_[0];
-      return true;
-    }
     const std::vector<std::size_t> order = ranking();
     if (!order.empty()) out_.best = last().candidates[order[0]];
     if (order.size() > 1) second_ = last().candidates[order[1]];
@@ -392,6 +389,7 @@ class Race {
       const std::size_t axis = axis_of(one, base_);
       if (out_.best[axis] != one[axis]) candidates.push_back(with(out_.best, axis, one[axis]));
     }
+    if (candidates.size() == 1) return true;
     if (!round(fit("around the best", candidates, last().length, whole(plan_.length / 2), kAroundUntil))) return false;
     const std::vector<std::size_t> order = ranking();
     if (skipped_ || order.empty() || gain(aim_, order[0]).mean <= noise(aim_)) return true;
@@ -430,6 +428,7 @@ class Race {
     for (std::size_t axis = 0; axis < axes_.size(); ++axis)
       if ((axes_[axis].is_part && has_data(axes_[axis])) || out_.best[axis] >= 0)
         candidates.push_back(with(out_.best, axis, axes_[axis].is_part ? 0 : -1));
+    if (candidates.size() == 1) return true;
     if (!round(fit("leave out", candidates, out_.best == base_ ? 0 : last().length, plan_.length, kOutUntil)))
       return false;
     if (skipped_) return true;
@@ -455,8 +454,7 @@ class Race {
       return true;
     }
     for (TunePart& part : out_.parts) part.kept = true;
-    note(skipped_ ? "no time to leave several parts out together: none was left out"
-                  : "more than noise in parts together that cost nothing each: none was left out");
+    if (!skipped_) note("more than noise in parts together that cost nothing each: none was left out");
     return true;
   }
 
