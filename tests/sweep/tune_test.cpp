@@ -40,7 +40,8 @@ class Tuning : public testing::Test, public TuneWork {
         const bool is_new = trained_.insert({{choice, round.length}, seed}).second;
         cells_ += is_new ? 1 : 0;
         spent_s_ += is_new ? round.length + cell_s() : 0;
-        scores.back().push_back({{"psnr", 20 + round.length / 100 + psnr_(choice) + 0.01 * seed},
+        const double late = round.length > plan_.length / 2 ? late_(choice) : 0;
+        scores.back().push_back({{"psnr", 20 + round.length / 100 + psnr_(choice) + late + 0.01 * seed},
                                  {"miou_present", 0.5 + miou_(choice)},
                                  {"train_s", round.length},
                                  {"steps", 1000}});
@@ -66,6 +67,7 @@ class Tuning : public testing::Test, public TuneWork {
                         : 0) +
            (c[3] >= 0 ? 0.01 : 0) - (c[0] == 1 && c[2] == 0 ? 5 : 0) + (c[2] == 0 ? 0.3 : 0) - (c[4] == 0 ? 0.01 : 0);
   };
+  std::function<double(const TuneChoice&)> late_ = [](const TuneChoice&) { return 0; };  // in long trainings
   std::function<double(const TuneChoice&)> miou_ = [](const TuneChoice&) { return 0; };
   std::set<std::string> without_;  // metrics that the scene has no data for
   std::vector<TuneRound> record_;
@@ -102,6 +104,33 @@ TEST_F(Tuning, ValuesThatGainOnlyTogetherWithOthersAreFound) {
   const TuneOutcome outcome = race_of(4000);
   EXPECT_EQ(outcome.best, (TuneChoice{0, 0, 1, 0, -1}));
   EXPECT_NEAR(outcome.gain.mean, 2.1, 0.02);
+}
+
+TEST_F(Tuning, WhatGainsInShortTrainingsAloneIsNotTaken) {
+  late_ = [](const TuneChoice& c) { return c[1] == 0 ? -1.5 : 0.; };
+  for (const double time_s : {120., 2000.}) {
+    record_.clear();
+    trained_.clear();
+    spent_s_ = 0;
+    const TuneOutcome outcome = race_of(time_s);
+    EXPECT_EQ(outcome.best[1], -1) << time_s;
+    EXPECT_TRUE(std::any_of(record_.begin(), record_.end(), [&](const TuneRound& r) {
+      return r.name == "full length" && r.length == plan_.length && r.candidates.size() > 1;
+    })) << time_s;
+  }
+}
+
+TEST_F(Tuning, WithoutTimeForLongTrainingsTheConfigurationStays) {
+  plan_.length = 60;
+  for (const double time_s : {60., 90., 120.}) {
+    record_.clear();
+    trained_.clear();
+    spent_s_ = 0;
+    const TuneOutcome outcome = race_of(time_s);
+    EXPECT_EQ(outcome.best, TuneChoice(5, -1)) << time_s;
+    EXPECT_FALSE(outcome.notes.empty()) << time_s;
+    EXPECT_LE(spent_s_, time_s) << time_s;
+  }
 }
 
 TEST_F(Tuning, SeveralDevicesTrainLonger) {

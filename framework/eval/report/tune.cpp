@@ -30,8 +30,10 @@ constexpr std::array kParts{1., 0.5, 0.25, 0.125, 0.0625};  // of the full lengt
 constexpr int kHoldOut = 8;
 constexpr double kMostScored_px = 4e5;    // paired cells score the same pixels, and all of them cost more than training
 constexpr std::size_t kMostTogether = 6;  // values that are combined
-// Shares of the time by whose end a round ends, if it can.
-constexpr double kAloneUntil = 0.38, kTogetherUntil = 0.52, kAroundUntil = 0.62, kFullUntil = 0.82, kOutUntil = 0.94;
+// Shares of the time by whose end a round ends, if it can; of the first three, those of what the full length leaves.
+constexpr double kAloneUntil = 0.55, kTogetherUntil = 0.8, kFullUntil = 0.85, kOutUntil = 0.94;
+constexpr double kMostForFull = 0.45;   // of the time
+constexpr double kLeastTrusted = 0.45;  // of the full length: what trains less tells little of what parts are worth
 
 const std::vector<TuneAim> kAims{{"psnr", "psnr", "dB", 0.05, 2},
                                  {"miou", "miou_present", "mIoU", 0.005, 3},
@@ -233,6 +235,11 @@ class Race {
     return std::ceil(static_cast<double>(is_new) / plan_.at_a_time) * (work_.cell_s() + length * unit_s_);
   }
   double left_s(double until) const { return until * plan_.time_s - work_.spent_s(); }
+  // Short trainings favour what learns at once, so the winner has to show itself at the full length.
+  double search_until(double part) const {
+    const double full_s = std::ceil(2.0 / plan_.at_a_time) * (work_.cell_s() + plan_.length * unit_s_);
+    return part * (kFullUntil - std::min(1.05 * full_s / plan_.time_s, kMostForFull));
+  }
   // As many of the first candidates as possible, half of them at least, that end in time; then all seeds, or one, and
   // the longest training from `least` to `most`. Where half of them do not, two may do, of any length. No candidates:
   // there are no two, or no time.
@@ -356,7 +363,7 @@ class Race {
            ++value)
         candidates.push_back(with(base_, axis, value));
     return candidates.size() == 1 ||
-           round(fit("alone", candidates, whole(plan_.length / 8), whole(plan_.length / 4), kAloneUntil));
+           round(fit("alone", candidates, whole(plan_.length / 8), whole(plan_.length / 4), search_until(kAloneUntil)));
   }
 
   // The best value of each axis: two of them, three, ... And the better third of the values.
@@ -374,7 +381,8 @@ class Race {
     const std::size_t third = std::min(gained_.size(), last().candidates.size() / 3 + 1);
     for (std::size_t i = 1; i < third; ++i) candidates.push_back(gained_[i]);
     if (gained_.empty()) return true;
-    if (!round(fit("together", candidates, last().length, whole(plan_.length / 2), kTogetherUntil))) return false;
+    if (!round(fit("together", candidates, last().length, whole(plan_.length / 2), search_until(kTogetherUntil))))
+      return false;
     const std::vector<std::size_t> order = ranking();
     if (!order.empty()) out_.best = last().candidates[order[0]];
     if (order.size() > 1) second_ = last().candidates[order[1]];
@@ -390,7 +398,8 @@ class Race {
       if (out_.best[axis] != one[axis]) candidates.push_back(with(out_.best, axis, one[axis]));
     }
     if (candidates.size() == 1) return true;
-    if (!round(fit("around the best", candidates, last().length, whole(plan_.length / 2), kAroundUntil))) return false;
+    if (!round(fit("around the best", candidates, last().length, whole(plan_.length / 2), search_until(1))))
+      return false;
     const std::vector<std::size_t> order = ranking();
     if (skipped_ || order.empty() || gain(aim_, order[0]).mean <= noise(aim_)) return true;
     second_ = std::exchange(out_.best, last().candidates[order[0]]);
@@ -401,18 +410,30 @@ class Race {
     if (out_.best == base_) return true;
     std::vector<TuneChoice> candidates{base_, out_.best};
     if (second_ != base_) candidates.push_back(second_);
-    TuneRound wanted = fit("full length", candidates, last().length, plan_.length, kFullUntil);
-    if (wanted.candidates.empty()) wanted = {wanted.name, last().length, last().seeds, {base_, out_.best}};
+    TuneRound wanted{"full length", 0, 1, {}};
+    for (const double part : kParts)
+      for (const std::size_t some : {candidates.size(), std::size_t{2}})
+        for (const int seeds : {plan_.seeds, 1}) {
+          const std::vector<TuneChoice> last_few(candidates.begin(), candidates.begin() + static_cast<long>(some));
+          const double length = whole(part * plan_.length);
+          if (wanted.candidates.empty() && cost_s(last_few, seeds, length) <= left_s(kFullUntil))
+            wanted = {wanted.name, length, seeds, last_few};
+        }
     if (!round(wanted)) return false;
-    if (last().length < plan_.length)
-      note(fmt::format("no time for the full length: the last few trained {:.0f} % of it",
-                       100 * last().length / plan_.length));
+    if (skipped_ || is_brief()) {
+      note("no time for half of the full length: nothing is changed; give more --time, or a shorter --length");
+      out_.best = base_;
+      return true;
+    }
     const std::vector<std::size_t> order = ranking();
     const bool won = !order.empty() && gain(aim_, order[0]).mean > noise(aim_);
     out_.best = won ? last().candidates[order[0]] : base_;
     if (won) out_.gain = gain(aim_, order[0]);
     return true;
   }
+
+  // The last round says little of the full length.
+  bool is_brief() const { return last().length < kLeastTrusted * plan_.length; }
 
   double step_s(std::size_t candidate) const {
     double train_s = 0, steps = 0;
@@ -440,10 +461,11 @@ class Race {
       part.name = axes_[part.axis].is_part ? axes_[part.axis].name
                                            : choice_name(axes_, with(base_, part.axis, out_.best[part.axis]));
       part.time_share = 1 - step_s(c) / std::max(1e-9, step_s(0));
-      part.kept = out.mean < -slight() || harms(c);
+      part.kept = is_brief() || out.mean < -slight() || harms(c);
       if (!part.kept) reduced[part.axis] = last().candidates[c][part.axis];
       out_.parts.push_back(std::move(part));
     }
+    if (is_brief()) note("no time for long trainings without parts: all are kept");
     if (reduced == out_.best) return true;
     // Parts that are nothing each may be something together.
     const std::vector<TuneChoice> both{out_.best, reduced};
@@ -575,7 +597,7 @@ std::pair<std::string, std::string> tune_tables(const TunePlan& plan, const Tune
   const std::string title = "Tuning of " + std::filesystem::path(plan.path).stem().string();
   const TuneAim &aim = tune_aim(plan.aim), &shown = tune_aim(aim.name == "time" ? "psnr" : aim.name);
   std::string note = fmt::format(
-      "Scored on held-out training views, every {}th pixel across and down; test frames were not looked at. Best: {}. ",
+      "Scored on held-out training views, one pixel of {0} x {0}; test frames were not looked at. Best: {1}. ",
       plan.score_stride, choice_name(plan.axes, outcome.best));
   note += outcome.gain.seeds == 0 ? "No setting gains more than noise."
                                   : fmt::format("{} over the configuration; noise is {:.{}f} {}.",
