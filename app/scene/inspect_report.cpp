@@ -146,6 +146,12 @@ std::string problems(const Diagnostics& diagnostics) {
   return out;
 }
 
+std::string forward_text(const LoadedScene& scene) {
+  return fmt::format("forward-facing: {} views from one side", scene.info.frames.size());
+}
+
+constexpr const char* kFromThere = "; render, and look at the mesh, from there: nothing shows it from behind";
+
 }  // namespace
 
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use) {
@@ -157,6 +163,7 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   out += fmt::format("size        {}\n", size_list(scene));
   out += fmt::format("unit        {}\n", scene.info.metric ? "metres" : "unknown (poses without a scale)");
   out += fmt::format("cameras     {}\n", extent_text(cameras));
+  if (scene.rig.forward) out += "views       " + forward_text(scene) + kFromThere + "\n";
   out += fmt::format("bounds      {}{}\n", extent_text(scene.bounds),
                      scene.bounds_from.empty() ? "" : " from " + scene.bounds_from);
   out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m,
@@ -184,6 +191,7 @@ Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, cons
            {"depth", depth_use},
            {"metric", scene.info.metric},
            {"cameras", box(counted.cameras)},
+           {"forward_facing", scene.rig.forward},
            {"bounds", box(scene.bounds)},
            {"bounds_from", scene.bounds_from},
            {"near", scene.near_m},
@@ -254,7 +262,7 @@ std::string PresetAdvice::text() const {
 }
 
 std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
-  constexpr double kOpen = 5;  // a room around its subject ends nearer
+  constexpr double kOpen = 2;  // a room that the cameras all but fill ends nearer
   if (scene.bounds.empty()) return std::nullopt;
   PresetAdvice out{"presets/room.yaml", "", std::nullopt};
   if (scene.plain_background) {
@@ -267,7 +275,9 @@ std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
   const bool depth =
       std::any_of(scene.info.frames.begin(), scene.info.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
   if (depth || !scene.rig.inward) {
-    out.why = depth ? "depth images show where the scene ends" : "the cameras do not stand around one place";
+    out.why = depth               ? "depth images show where the scene ends"
+              : scene.rig.forward ? forward_text(scene)
+                                  : "the cameras do not stand around one place";
     return out;
   }
   const double reach = reach_of_surroundings(scene);

@@ -17,6 +17,7 @@ constexpr std::size_t kMostCameras = 128;  // looked at for each voxel
 constexpr double kSeenBy = 0.9;            // of the cameras
 constexpr double kMostOneSided = 0.75;     // length of the mean direction to the cameras: 0.64 for half a circle
 constexpr int kRounds = 8;                 // of reweighting
+constexpr double kLeastAlike = 0.93;       // length of the mean view axis: that of axes spread over 30 degrees about it
 
 // The point whose distances to the view axes have the least sum (not of squares: a stray camera must not pull it).
 bool find_focus(const Cameras& cameras, Vec3d& focus) {
@@ -44,6 +45,12 @@ bool find_focus(const Cameras& cameras, Vec3d& focus) {
     }
   }
   return true;
+}
+
+// Such a lens looks nowhere in particular.
+bool any_panorama(const Cameras& cameras) {
+  return std::any_of(cameras.begin(), cameras.end(),
+                     [](const FrameInfo* frame) { return frame->camera.lens == LensKind::equirectangular; });
 }
 
 // At most `most` of them, evenly taken.
@@ -97,13 +104,30 @@ double angle_deg(const Pose& a, const Pose& b) {
   return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
 }
 
+bool look_one_way(const Cameras& cameras) {
+  if (cameras.size() < 3 || any_panorama(cameras)) return false;
+  Vec3d sum;
+  for (const FrameInfo* camera : cameras) sum = sum + camera->world_from_camera.axis(2);
+  if (length(sum) < kLeastAlike * static_cast<double>(cameras.size())) return false;
+  const Vec3d ahead = normalized(sum);
+  // A walk ahead passes by what it shows.
+  double first = 1e300, last = -1e300;
+  Box beside;
+  for (const FrameInfo* camera : cameras) {
+    const Vec3d at = camera->world_from_camera.t - cameras.front()->world_from_camera.t;
+    const double along = dot(at, ahead);
+    first = std::min(first, along);
+    last = std::max(last, along);
+    beside.include(at - ahead * along);
+  }
+  return last - first <= length(beside.size());
+}
+
 CameraRig find_rig(const Cameras& all) {
   CameraRig rig;
+  rig.forward = look_one_way(all);
   const Cameras cameras = some_of(all, kMostCameras);
-  // A panorama looks nowhere in particular.
-  const auto is_panorama = [](const FrameInfo* frame) { return frame->camera.lens == LensKind::equirectangular; };
-  if (std::any_of(cameras.begin(), cameras.end(), is_panorama)) return rig;
-  if (cameras.size() < 3 || !find_focus(cameras, rig.focus)) return rig;
+  if (cameras.size() < 3 || any_panorama(cameras) || !find_focus(cameras, rig.focus)) return rig;
   std::vector<double> distances;
   Vec3d mean;
   std::size_t see_it = 0;

@@ -22,6 +22,9 @@ struct CameraRig {
   /// The cameras stand around one place that nearly all of them see, over about half a circle at least. False for
   /// walks, panoramas and views from one side.
   bool inward = false;
+  /// Forward-facing: the cameras stand beside one another and look the same way, within about 30 degrees. False for a
+  /// walk ahead. Told of cameras with depth too.
+  bool forward = false;
   Vec3d focus;            ///< nearest to all view axes; meaningful where inward, as the rest
   double distance_m = 0;  ///< of the cameras to the focus, median
   Box seen;               ///< of what nine in ten cameras see together, between them
@@ -29,6 +32,9 @@ struct CameraRig {
 
 /// From poses and lenses alone.
 CameraRig find_rig(const Cameras& cameras);
+
+/// CameraRig::forward alone.
+bool look_one_way(const Cameras& cameras);
 
 // What the user says of a scene whose files keep another convention than its dataset expects, and how poses and depth
 // are brought right by it.

@@ -386,25 +386,6 @@ TEST(SceneChecks, OpenGlAxesTurn) {
 // Bounds of scenes without depth: around an object before one colour, inside the file's own limit, and the cameras'
 // rig.
 
-Pose look_at(Vec3d eye, Vec3d target) {
-  const Vec3d z = normalized(target - eye), x = normalized(cross(z, Vec3d{0.01, 1, 0.02})), y = cross(z, x);
-  Pose pose;
-  for (std::size_t row = 0; row < 3; ++row) {
-    const auto r = static_cast<int>(row);
-    pose.r[row] = {x[r], y[r], z[r]};
-  }
-  pose.t = eye;
-  return pose;
-}
-
-FrameInfo frame_at(Vec3d eye, Vec3d target, double fov_deg = 40) {
-  FrameInfo frame{.camera = {.width_px = 48, .height_px = 48}};
-  frame.camera.fx = frame.camera.fy = 24 / std::tan(fov_deg * M_PI / 360);
-  frame.camera.cx = frame.camera.cy = 24;
-  frame.world_from_camera = look_at(eye, target);
-  return frame;
-}
-
 // Spread over the upper half of a sphere about `center`.
 Vec3d on_dome(int i, int count, double radius, Vec3d center) {
   const double height = 0.05 + 0.9 * i / count, around = 2.399963 * i, flat = std::sqrt(1 - height * height);
@@ -554,6 +535,14 @@ TEST(CameraRig, OtherRigsDoNot) {
     EXPECT_TRUE(rig_of(*frames).seen.empty());
   }
   EXPECT_FALSE(rig_of({}).inward);
+  EXPECT_TRUE(rig_of(one_side).forward);
+  EXPECT_TRUE(rig_of(parallel).forward);
+  std::vector<FrameInfo> ahead;
+  for (int i = 0; i < 24; ++i) ahead.push_back(frame_at({0.02 * (i % 3), 0, 0.1 * i}, {0, 0, 99}));
+  for (const auto* frames : {&panorama, &walk, &outward, &ahead}) EXPECT_FALSE(rig_of(*frames).forward);
+  EXPECT_FALSE(rig_of({}).forward);
+  for (FrameInfo& frame : parallel) frame.camera.lens = LensKind::equirectangular;
+  EXPECT_FALSE(rig_of(parallel).forward);
 }
 
 // Poses against pixels: every convention is named from depth and from photographs, and right scenes are left in peace.

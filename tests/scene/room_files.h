@@ -119,4 +119,26 @@ inline void cut(const std::string& path, std::size_t bytes) {
   std::filesystem::resize_file(path, std::filesystem::file_size(path) - bytes);
 }
 
+// Cameras of 48 x 48 pixels where a test wants them.
+
+/// Upright, but for a hair.
+inline Pose look_at(Vec3d eye, Vec3d target) {
+  const Vec3d z = normalized(target - eye), x = normalized(cross(z, Vec3d{0.01, 1, 0.02})), y = cross(z, x);
+  Pose pose;
+  for (std::size_t row = 0; row < 3; ++row) {
+    const auto r = static_cast<int>(row);
+    pose.r[row] = {x[r], y[r], z[r]};
+  }
+  pose.t = eye;
+  return pose;
+}
+
+inline FrameInfo frame_at(Vec3d eye, Vec3d target, double fov_deg = 40) {
+  FrameInfo frame{.camera = {.width_px = 48, .height_px = 48}};
+  frame.camera.fx = frame.camera.fy = 24 / std::tan(fov_deg * M_PI / 360);
+  frame.camera.cx = frame.camera.cy = 24;
+  frame.world_from_camera = look_at(eye, target);
+  return frame;
+}
+
 }  // namespace semfield::testing_room

@@ -793,12 +793,26 @@ Reach seen_reach(const LoadedScene& scene, Evidence& seen) {
 }
 
 // With space outside contracted: about what the cameras see together or, where they look outward, where they stand.
-Box cube_of_subject(const CameraRig& rig, const Cameras& cameras) {
-  const Box around = rig.inward ? rig.seen : box_of_cameras(cameras);
+// About forward-facing cameras as far as the nearest that they see: from there on cells grow with the distance, as what
+// a pixel shows does.
+struct SubjectCube {
+  Box box;
+  std::string from;
+};
+SubjectCube cube_of_subject(const LoadedScene& scene, const Evidence& seen) {
+  constexpr double kNearest = 0.05;  // of the corners
+  const CameraRig& rig = scene.rig;
+  const Box around = rig.inward ? rig.seen : box_of_cameras(seen.cameras);
   const Vec3d size = around.size();
   const double widest = std::max({size.x, size.y, size.z});
-  const double half = widest > 0 ? 0.5 * widest : 1;
-  return {around.center() - Vec3d{half, half, half}, around.center() + Vec3d{half, half, half}};
+  double half = widest > 0 ? 0.5 * widest : 1;
+  std::string from = rig.inward ? "what nine in ten cameras see together" : "where the cameras stand";
+  if (rig.forward && seen.corners) {
+    std::vector<float> distances = scene.corners.distance;
+    half = std::max(half, static_cast<double>(quantile(distances, kNearest)));
+    from += ", up to the nearest corners seen";
+  }
+  return {{around.center() - Vec3d{half, half, half}, around.center() + Vec3d{half, half, half}}, from};
 }
 
 // Asked for, told by the dataset, or seen.
@@ -807,7 +821,7 @@ void derive_distances(LoadedScene& scene, Evidence& seen, const SceneLoadOptions
   scene.near_m = options.near_m > 0 ? options.near_m : scene.info.near_hint_m;
   scene.far_m = options.far_m > 0 ? options.far_m : scene.info.far_hint_m;
   if (options.contracted && !(options.far_m > 0)) {
-    const Vec3d size = cube_of_subject(scene.rig, seen.cameras).size();
+    const Vec3d size = cube_of_subject(scene, seen).box.size();
     scene.far_m = kReach * size.x;
     if (scene.near_m <= 0) scene.near_m = 0.05 * (scene.rig.inward ? scene.rig.distance_m : size.x);
     scene.near_far_from = fmt::format("contraction: far is {:.3g} times the bounds", kReach);
@@ -875,8 +889,9 @@ void derive_bounds(LoadedScene& scene, Evidence& seen, const SceneLoadOptions& o
     scene.bounds = box_of(options.bounds);
     scene.bounds_from = "the configuration";
   } else if (options.contracted) {
-    scene.bounds = cube_of_subject(scene.rig, seen.cameras);
-    scene.bounds_from = scene.rig.inward ? "what nine in ten cameras see together" : "where the cameras stand";
+    const SubjectCube cube = cube_of_subject(scene, seen);
+    scene.bounds = cube.box;
+    scene.bounds_from = cube.from;
   } else if (!scene.info.bounds.empty()) {
     scene.bounds = scene.info.bounds;
     scene.bounds_from = "the dataset";
@@ -957,7 +972,10 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   seen.has_depth = seen.survey.valid > 0;
   if (seen.has_depth)
     seen.covered = static_cast<double>(seen.survey.valid) / static_cast<double>(seen.survey.looked_at);
-  if (!seen.has_depth || options.contracted) scene.rig = find_rig(seen.cameras);
+  if (!seen.has_depth || options.contracted)
+    scene.rig = find_rig(seen.cameras);
+  else
+    scene.rig.forward = look_one_way(seen.cameras);
   if (!seen.has_depth && !options.contracted)
     scene.plain_background = find_plain_background(seen.cameras, pixels, scene.rig);
   if (!seen.has_depth && !scene.plain_background && scene.corners.x.size() >= kFewestCorners)
