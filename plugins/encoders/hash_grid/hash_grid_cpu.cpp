@@ -136,54 +136,92 @@ inline std::int64_t far_entry(const Edges<Real>& edges, int e, std::int64_t i) {
   return kDense ? edges.near_entry[e][i] + 1 : edges.near_entry[e][i] ^ edges.flip[i];
 }
 
+// The slopes of a level, in steps that each know at compile time only what they depend on: one function of all choices
+// would be compiled 16 times a precision, which took most of the time that this file needs.
+
+/// Weights of the two ends along each axis, and the slope of the far one, of kLanes samples.
+template <class Real>
+struct AxisSlopes {
+  alignas(64) Real weight[3][2][kLanes];
+  alignas(64) Real slope[3][kLanes];
+};
+
+template <class Real, Interpolation kInterpolation>
+[[gnu::noinline]] void find_slopes(Real resolution, const AxisCells<Real>& at, AxisSlopes<Real>& out) {
+  for (int d = 0; d < 3; ++d) {
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const Real place = at.far[d][i];
+      out.weight[d][1][i] = far_weight(place, kInterpolation);
+      out.weight[d][0][i] = Real(1) - out.weight[d][1][i];
+      out.slope[d][i] = resolution * far_weight_slope(place, kInterpolation);
+    }
+  }
+}
+
+/// The entry of each corner; bit d of a corner is set where it is the far one along axis d.
+template <class Real, bool kDense>
+[[gnu::noinline]] void find_corners(const HashGridLevel& level, const AxisCells<Real>& at,
+                                    std::uint32_t (*entry)[kLanes]) {
+  const auto vertices = static_cast<std::uint32_t>(level.resolution) + 1;
+  const auto mask = static_cast<std::uint32_t>(level.entries) - 1;
+  for (std::uint32_t c = 0; c < 8; ++c) {
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const std::uint32_t cx = at.cell[0][i] + (c & 1), cy = at.cell[1][i] + ((c >> 1) & 1),
+                          cz = at.cell[2][i] + (c >> 2);
+      entry[c][i] = kDense ? dense_index<std::uint32_t>(cx, cy, cz, vertices) : hash_index(cx, cy, cz, mask);
+    }
+  }
+}
+
+/// <dy, entry> of each corner, dy [F, kLanes].
+template <class Real, std::int32_t kFeatures>
+[[gnu::noinline]] void multiply_corners(const Real* table, const std::uint32_t (*entry)[kLanes],
+                                        const Real (*dy)[kLanes], Real (*product)[kLanes]) {
+  for (int c = 0; c < 8; ++c) {
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const Real* const values = table + static_cast<std::int64_t>(entry[c][i]) * kFeatures;
+      Real sum = dy[0][i] * values[0];
+      for (std::int32_t f = 1; f < kFeatures; ++f) sum = SEMFIELD_ISA::multiply_add(dy[f][i], values[f], sum);
+      product[c][i] = sum;
+    }
+  }
+}
+
+/// slopes += N w'(place) times the other axes' weights times the product, over the corners in order.
+template <class Real>
+[[gnu::noinline]] void add_corners(const AxisSlopes<Real>& at, const Real (*product)[kLanes],
+                                   double (*slopes)[kLanes]) {
+  for (std::uint32_t c = 0; c < 8; ++c) {
+    const std::uint32_t bit[3] = {c & 1, (c >> 1) & 1, c >> 2};
+    for (int d = 0; d < 3; ++d) {
+      const int e = (d + 1) % 3, g = (d + 2) % 3;
+      for (std::int32_t i = 0; i < kLanes; ++i) {
+        const Real factor = at.weight[e][bit[e]][i] * at.weight[g][bit[g]][i] * at.slope[d][i];
+        const Real signed_factor = bit[d] != 0 ? factor : -factor;
+        if constexpr (std::is_same_v<Real, double>) {
+          slopes[d][i] = SEMFIELD_ISA::multiply_add(signed_factor, product[c][i], slopes[d][i]);
+        } else {
+          slopes[d][i] += signed_factor * product[c][i];
+        }
+      }
+    }
+  }
+}
+
 /// slopes += dy times the slope of kLanes samples along each axis, x [kLanes, 3] contiguous, dy [F, kLanes]: the sum
 /// over the corners of N w'(place) times the other axes' weights times <dy, entry>.
 template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kInterpolation>
 inline void add_slopes(const HashGridLevel& level, const Real* table, const double* x, const Real (*dy)[kLanes],
                        double (*slopes)[kLanes]) {
-  const auto vertices = static_cast<std::uint32_t>(level.resolution) + 1;
-  const auto mask = static_cast<std::uint32_t>(level.entries) - 1;
-  const auto resolution = static_cast<Real>(level.resolution);
-  AxisCells<Real> at;
-  find_cells<Real, Interpolation::linear>(level, x, at);  // so that far is the place
-  alignas(64) Real weight[3][2][kLanes], slope[3][kLanes];
-  for (int d = 0; d < 3; ++d) {
-    for (std::int32_t i = 0; i < kLanes; ++i) {
-      const Real place = at.far[d][i];
-      weight[d][1][i] = far_weight(place, kInterpolation);
-      weight[d][0][i] = Real(1) - weight[d][1][i];
-      slope[d][i] = resolution * far_weight_slope(place, kInterpolation);
-    }
-  }
-#pragma GCC unroll 8
-  for (std::uint32_t c = 0; c < 8; ++c) {
-    const std::uint32_t bit[3] = {c & 1, (c >> 1) & 1, c >> 2};
-    alignas(64) std::uint32_t entry[kLanes];
-    for (std::int32_t i = 0; i < kLanes; ++i) {
-      const std::uint32_t cx = at.cell[0][i] + bit[0], cy = at.cell[1][i] + bit[1], cz = at.cell[2][i] + bit[2];
-      entry[i] = kDense ? dense_index<std::uint32_t>(cx, cy, cz, vertices) : hash_index(cx, cy, cz, mask);
-    }
-    alignas(64) Real product[kLanes];
-    for (std::int32_t i = 0; i < kLanes; ++i) {
-      const Real* const values = table + static_cast<std::int64_t>(entry[i]) * kFeatures;
-      product[i] = dy[0][i] * values[0];
-      for (std::int32_t f = 1; f < kFeatures; ++f)
-        product[i] = SEMFIELD_ISA::multiply_add(dy[f][i], values[f], product[i]);
-    }
-#pragma GCC unroll 3
-    for (int d = 0; d < 3; ++d) {
-      const int e = (d + 1) % 3, g = (d + 2) % 3;
-      for (std::int32_t i = 0; i < kLanes; ++i) {
-        const Real factor = weight[e][bit[e]][i] * weight[g][bit[g]][i] * slope[d][i];
-        const Real signed_factor = bit[d] != 0 ? factor : -factor;
-        if constexpr (std::is_same_v<Real, double>) {
-          slopes[d][i] = SEMFIELD_ISA::multiply_add(signed_factor, product[i], slopes[d][i]);
-        } else {
-          slopes[d][i] += signed_factor * product[i];
-        }
-      }
-    }
-  }
+  AxisCells<Real> cells;
+  find_cells<Real, Interpolation::linear>(level, x, cells);  // so that far is the place
+  AxisSlopes<Real> at;
+  find_slopes<Real, kInterpolation>(static_cast<Real>(level.resolution), cells, at);
+  alignas(64) std::uint32_t entry[8][kLanes];
+  find_corners<Real, kDense>(level, cells, entry);
+  alignas(64) Real product[8][kLanes];
+  multiply_corners<Real, kFeatures>(table, entry, dy, product);
+  add_corners<Real>(at, product, slopes);
 }
 
 /// Two floats, the usual entry: both ends of an edge travel in one 128-bit register.
