@@ -107,13 +107,15 @@ inline void find_cells(const HashGridLevel& level, const double* x, AxisCells<Re
   find_cells_by_axis<Real, kInterpolation>(level, x, out);
 }
 
-/// Edges of kLanes samples, x [kLanes, 3] contiguous.
-template <class Real, bool kDense, Interpolation kInterpolation>
-inline void find_edges(const HashGridLevel& level, const double* x, Edges<Real>& out) {
+/// Edges of kLanes samples, x [kLanes, 3] contiguous. No part of its callers, of which there are many.
+template <class Real, bool kDense>
+[[gnu::noinline]] void find_edges(const HashGridLevel& level, Interpolation interpolation, const double* x,
+                                  Edges<Real>& out) {
   const auto vertices = static_cast<std::uint32_t>(level.resolution) + 1;
   const auto mask = static_cast<std::uint32_t>(level.entries) - 1;
   AxisCells<Real> at;
-  find_cells<Real, kInterpolation>(level, x, at);
+  interpolation == Interpolation::smoothstep ? find_cells<Real, Interpolation::smoothstep>(level, x, at)
+                                             : find_cells<Real, Interpolation::linear>(level, x, at);
   for (std::int32_t i = 0; i < kLanes; ++i) {
     out.flip[i] = (at.cell[0][i] ^ (at.cell[0][i] + 1)) & mask;
     out.far_weight[i] = at.far[0][i];
@@ -210,13 +212,15 @@ template <class Real>
 
 /// slopes += dy times the slope of kLanes samples along each axis, x [kLanes, 3] contiguous, dy [F, kLanes]: the sum
 /// over the corners of N w'(place) times the other axes' weights times <dy, entry>.
-template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kInterpolation>
-inline void add_slopes(const HashGridLevel& level, const Real* table, const double* x, const Real (*dy)[kLanes],
-                       double (*slopes)[kLanes]) {
+template <class Real, std::int32_t kFeatures, bool kDense>
+inline void add_slopes(const HashGridLevel& level, Interpolation interpolation, const Real* table, const double* x,
+                       const Real (*dy)[kLanes], double (*slopes)[kLanes]) {
   AxisCells<Real> cells;
   find_cells<Real, Interpolation::linear>(level, x, cells);  // so that far is the place
   AxisSlopes<Real> at;
-  find_slopes<Real, kInterpolation>(static_cast<Real>(level.resolution), cells, at);
+  const auto resolution = static_cast<Real>(level.resolution);
+  interpolation == Interpolation::smoothstep ? find_slopes<Real, Interpolation::smoothstep>(resolution, cells, at)
+                                             : find_slopes<Real, Interpolation::linear>(resolution, cells, at);
   alignas(64) std::uint32_t entry[8][kLanes];
   find_corners<Real, kDense>(level, cells, entry);
   alignas(64) Real product[8][kLanes];
@@ -331,16 +335,11 @@ constexpr std::int64_t kPieceRows = 4096;   // of a level's forward that a threa
 constexpr std::int64_t kCopyRows = 1024;
 constexpr std::int64_t kInputTaskRows = 256;
 
-/// Calls f with the level's compile-time choices: (features, dense, interpolation).
+/// Calls f with the level's compile-time choices: (features, dense).
 template <class F>
-void with_kind(const HashGridLevel& level, std::int32_t features, Interpolation interpolation, const F& f) {
+void with_kind(const HashGridLevel& level, std::int32_t features, const F& f) {
   with_features(features, [&]<std::int32_t kFeatures>() {
-    const auto with_density = [&]<Interpolation kI>() {
-      level.dense ? f.template operator()<kFeatures, true, kI>() : f.template operator()<kFeatures, false, kI>();
-    };
-    if (interpolation == Interpolation::smoothstep)
-      return with_density.template operator()<Interpolation::smoothstep>();
-    with_density.template operator()<Interpolation::linear>();
+    level.dense ? f.template operator()<kFeatures, true>() : f.template operator()<kFeatures, false>();
   });
 }
 
@@ -387,15 +386,15 @@ void warm(const Real* table, std::int64_t values, std::int64_t rows) {
 
 /// Calls f(edges, first row) for each group of rows of x. Edges are found one group ahead: by the time they are read
 /// they have left the store buffer.
-template <class Real, bool kDense, Interpolation kI, class F>
-void for_groups(const HashGridLevel& level, View<const double> x, const F& f) {
+template <class Real, bool kDense, class F>
+void for_groups(const HashGridLevel& level, Interpolation interpolation, View<const double> x, const F& f) {
   Edges<Real> edges[2];
   RowReader rows(x);
-  find_edges<Real, kDense, kI>(level, rows.at(0), edges[0]);
+  find_edges<Real, kDense>(level, interpolation, rows.at(0), edges[0]);
   int now = 0;
   for (std::int64_t r = 0; r < x.rows; r += kLanes, now ^= 1) {
     const std::int64_t next = r + kLanes;
-    if (next < x.rows) find_edges<Real, kDense, kI>(level, rows.at(next), edges[now ^ 1]);
+    if (next < x.rows) find_edges<Real, kDense>(level, interpolation, rows.at(next), edges[now ^ 1]);
     f(edges[now], r);
   }
 }
@@ -486,8 +485,8 @@ std::int64_t forward(const HashGridShape& shape, const View<Real>* tables, View<
           const Real* const table = tables[l].data;
           Real* const column = columns.value(l) + at * shape.features;
           if (begins) warm(table, level.entries * shape.features, rows);
-          with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
-            for_groups<Real, kDense, kI>(level, piece, [&](const Edges<Real>& edges, std::int64_t r) {
+          with_kind(level, shape.features, [&]<std::int32_t kF, bool kDense>() {
+            for_groups<Real, kDense>(level, shape.interpolation, piece, [&](const Edges<Real>& edges, std::int64_t r) {
               interpolate<Real, kF, kDense>(edges, table, column + r * kF);
             });
           });
@@ -513,8 +512,8 @@ void backward_tables(const HashGridShape& shape, const View<Real>* grads, View<c
       const HashGridLevel& level = shape.level[l];
       Real* const grad = grads[l].data;
       warm(grad, level.entries * shape.features, rows);
-      with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
-        for_groups<Real, kDense, kI>(level, block, [&](const Edges<Real>& edges, std::int64_t r) {
+      with_kind(level, shape.features, [&]<std::int32_t kF, bool kDense>() {
+        for_groups<Real, kDense>(level, shape.interpolation, block, [&](const Edges<Real>& edges, std::int64_t r) {
           scatter<Real, kF, kDense>(edges, grad, std::min<std::int64_t>(kLanes, rows - r), columns.value(l) + r * kF);
         });
       });
@@ -530,13 +529,14 @@ void input_gradient(const HashGridShape& shape, const View<Real>* tables, View<c
   RowReader rows(x);
   for (std::int32_t l = 0; l < shape.levels; ++l) {
     const HashGridLevel& level = shape.level[l];
-    with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
+    with_kind(level, shape.features, [&]<std::int32_t kF, bool kDense>() {
       for (std::int64_t r = 0; r < x.rows; r += kLanes) {
         alignas(64) Real gradient[kF][kLanes];
         for (std::int64_t i = 0; i < kLanes; ++i) {
           for (std::int32_t f = 0; f < kF; ++f) gradient[f][i] = r + i < x.rows ? dy(r + i, l * kF + f) : Real(0);
         }
-        add_slopes<Real, kF, kDense, kI>(level, tables[l].data, rows.at(r), gradient, slopes[r / kLanes]);
+        add_slopes<Real, kF, kDense>(level, shape.interpolation, tables[l].data, rows.at(r), gradient,
+                                     slopes[r / kLanes]);
       }
     });
   }
