@@ -1,11 +1,11 @@
-# semfield_add_plugin(NAME hash_grid SOURCES a.cpp b.cpp [CPU hash_grid_cpu.cpp] [SAME_BITS] [CUDA hash_grid_cuda.cu] [LIBRARIES ...] [FOLDER path])
-# Adds the sources to semfield_plugins, the folder's `*_test.cpp` to the test suite, and the module to the generated table of linked plugins.
+# semfield_add_plugin(NAME hash_grid SOURCES a.cpp b.cpp [CPU hash_grid_cpu.cpp] [SAME_BITS] [CUDA hash_grid_cuda.cu] [LIBRARIES ...] [FOLDER path] [TARGET name])
+# Adds the sources to semfield_plugins, by an object library of their own or by TARGET, which other plugins have too, the folder's `*_test.cpp` to the test suite, and the module to the generated table of linked plugins.
 # With CPU: compiles those files once per instruction set (cmake/Isa.cmake) and generates `void <name>_kernels(KernelTables&)`, which calls
 # <name>_cpu_kernels of the instruction set in use. With CUDA: those files go into the library semfield_cuda, which is loaded when a run asks for the
 # device, and `void cuda::<name>_cuda_kernels(KernelTables&)` of them is called then. With SAME_BITS multiplications and additions are never fused, so
 # that every instruction set gives the same values: for kernels whose results decide where something lies.
 function(semfield_add_plugin)
-  cmake_parse_arguments(ARG "SAME_BITS" "NAME;FOLDER" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(ARG "SAME_BITS" "NAME;FOLDER;TARGET" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
   if(NOT ARG_FOLDER)
     set(ARG_FOLDER ${CMAKE_CURRENT_SOURCE_DIR})
   endif()
@@ -13,14 +13,21 @@ function(semfield_add_plugin)
     get_filename_component(ARG_NAME ${ARG_FOLDER} NAME)
   endif()
   set(target semfield_plugin_${ARG_NAME})
+  if(ARG_TARGET)
+    set(target ${ARG_TARGET})
+  endif()
   # The folder of the plugins' kinds: plugins/, or that of SEMFIELD_EXTRA_PARTS.
   get_filename_component(semfield_plugin_root ${ARG_FOLDER}/../.. ABSOLUTE)
   foreach(list SOURCES CPU CUDA)
     list(TRANSFORM ARG_${list} PREPEND "${ARG_FOLDER}/")
   endforeach()
-  add_library(${target} OBJECT ${ARG_SOURCES})
+  if(NOT TARGET ${target})
+    add_library(${target} OBJECT)
+    set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_TARGETS ${target})
+  endif()
+  target_sources(${target} PRIVATE ${ARG_SOURCES})
   if(ARG_CPU)
-    semfield_kernel_objects(kernels ${target} ${ARG_CPU})
+    semfield_kernel_objects(kernels semfield_plugin_${ARG_NAME} ${ARG_CPU})
     if(ARG_SAME_BITS)
       foreach(variant ${kernels})
         target_compile_options(${variant} PRIVATE -ffp-contract=off)
@@ -45,7 +52,7 @@ function(semfield_add_plugin)
   endforeach()
 endfunction()
 
-# semfield_add_plugin_folder(path): the same from the names of the folder's files: *_cpu.cpp are CPU, *.cu are CUDA, *_test.cpp and *_sample.cpp are
+# semfield_add_plugin_folder(path [TARGET name]): the same from the names of the folder's files: *_cpu.cpp are CPU, *.cu are CUDA, *_test.cpp and *_sample.cpp are
 # for tests, all other .cpp files are sources. Samplers keep the same bits.
 function(semfield_add_plugin_folder path)
   file(GLOB sources RELATIVE ${path} CONFIGURE_DEPENDS ${path}/*.cpp)
@@ -56,7 +63,7 @@ function(semfield_add_plugin_folder path)
   if(path MATCHES "/samplers/[^/]+$")
     set(same_bits SAME_BITS)
   endif()
-  semfield_add_plugin(FOLDER ${path} ${same_bits} SOURCES ${sources} CPU ${cpu} CUDA ${cuda} LIBRARIES $<TARGET_NAME_IF_EXISTS:fmt::fmt> $<TARGET_NAME_IF_EXISTS:nlohmann_json::nlohmann_json>)
+  semfield_add_plugin(FOLDER ${path} ${same_bits} SOURCES ${sources} CPU ${cpu} CUDA ${cuda} LIBRARIES $<TARGET_NAME_IF_EXISTS:fmt::fmt> $<TARGET_NAME_IF_EXISTS:nlohmann_json::nlohmann_json> ${ARGN})
 endfunction()
 
 # semfield_add_loadable_plugin(NAME waves SOURCES waves.cpp ... [CPU waves_cpu.cpp] [SAME_BITS] [CUDA waves_cuda.cu] [LIBRARIES ...]): waves.so,

@@ -1,7 +1,7 @@
 # Builds with CMAKE_UNITY_BUILD compile the files of a folder together, at most SEMFIELD_UNITY_FILES at a time: most of a small file's time goes into
 # the headers that all include. Names that a file keeps to itself are therefore unique in its folder. By folder, so that a new file changes what is
-# compiled together there alone.
-set(SEMFIELD_UNITY_FILES 5 CACHE STRING "How many files of a folder a unity build compiles together, at most")
+# compiled together there alone. The small folders of app/ count as one, and so do those of a kind of plugins.
+set(SEMFIELD_UNITY_FILES 10 CACHE STRING "How many files of a folder a unity build compiles together, at most")
 
 # semfield_unity_groups(folder): of every target that is declared there or below.
 function(semfield_unity_groups folder)
@@ -30,7 +30,9 @@ function(semfield_group_by_folder target)
   set(folders "")
   foreach(source ${sources})
     get_filename_component(path ${source} ABSOLUTE BASE_DIR ${base})
-    get_filename_component(folder ${path} DIRECTORY)
+    file(RELATIVE_PATH path_here ${PROJECT_SOURCE_DIR} ${path})
+    get_filename_component(folder ${path_here} DIRECTORY)
+    string(REGEX REPLACE "^(app|plugins/[^/]+|framework/model/losses)/.*" "\\1" folder "${folder}")
     list(APPEND in_${folder} ${path})
     list(APPEND folders ${folder})
   endforeach()
@@ -39,8 +41,7 @@ function(semfield_group_by_folder target)
     list(LENGTH in_${folder} count)
     math(EXPR parts "(${count} + ${SEMFIELD_UNITY_FILES} - 1) / ${SEMFIELD_UNITY_FILES}")
     set(at 0)
-    file(RELATIVE_PATH name ${PROJECT_SOURCE_DIR} ${folder})
-    string(MAKE_C_IDENTIFIER "${name}" name)
+    string(MAKE_C_IDENTIFIER "${folder}" name)
     foreach(path ${in_${folder}})
       math(EXPR part "${at} * ${parts} / ${count}")
       set_source_files_properties(${path} TARGET_DIRECTORY ${target} PROPERTIES UNITY_GROUP ${name}_${part})

@@ -24,7 +24,7 @@ namespace {
 constexpr double kSameTime_s = 0.005;  // between a photograph and a pose; poses come ten times a second
 constexpr const char* kTrajectory = "lowres_wide.traj";
 
-[[noreturn]] void refuse(Code code, const std::string& what, const char* remedy = "download the scene again") {
+[[noreturn]] void refuse_arkit(Code code, const std::string& what, const char* remedy = "download the scene again") {
   throw Error(ErrorKind::data, code, what, remedy);
 }
 
@@ -32,7 +32,7 @@ constexpr const char* kTrajectory = "lowres_wide.traj";
 std::vector<double> numbers_of(const TextRow& row, std::size_t count) {
   std::vector<double> out;
   if (parse_numbers(row.fields.front(), out).empty() && out.size() == count) return out;
-  refuse("scene.index.value", fmt::format("{}: expected {} numbers", row.place, count));
+  refuse_arkit("scene.index.value", fmt::format("{}: expected {} numbers", row.place, count));
 }
 
 // By time: a line is the time, the turn of camera from world as an axis times its angle, and the shift.
@@ -42,9 +42,9 @@ std::map<double, Pose> read_trajectory(const std::string& path) {
   for (const TextRow& row : read_text_rows(path, '\n')) {
     const std::vector<double> v = numbers_of(row, 7);
     const double angle = std::hypot(v[1], v[2], v[3]), s = angle > 0 ? std::sin(angle / 2) / angle : 0.5;
-    if (!std::isfinite(v[0])) refuse("scene.index.value", row.place + ": the time is not finite");
+    if (!std::isfinite(v[0])) refuse_arkit("scene.index.value", row.place + ": the time is not finite");
     if (const auto [other, fresh] = lines.emplace(v[0], row.place); !fresh)
-      refuse("scene.index.twice", row.place + ": has the time of " + other->second, "keep one of the two lines");
+      refuse_arkit("scene.index.twice", row.place + ": has the time of " + other->second, "keep one of the two lines");
     Pose& pose = out[v[0]];
     set_rotation(pose, {std::cos(angle / 2), -s * v[1], -s * v[2], -s * v[3]});  // turned back: world from camera
     pose.t = pose.rotate({v[4], v[5], v[6]}) * -1.0;

@@ -22,7 +22,7 @@ struct StrayScannerParams : PhotographParams {};
 
 namespace {
 
-[[noreturn]] void refuse(Code code, const std::string& what, const char* remedy = "export the recording again") {
+[[noreturn]] void refuse_stray(Code code, const std::string& what, const char* remedy = "export the recording again") {
   throw Error(ErrorKind::data, code, what, remedy);
 }
 
@@ -30,14 +30,14 @@ namespace {
 class Odometry {
  public:
   explicit Odometry(const std::string& path) : rows_(read_text_rows(path, ',')) {
-    if (rows_.size() < 2) refuse("scene.index.format", "'" + path + "' has no poses");
+    if (rows_.size() < 2) refuse_stray("scene.index.format", "'" + path + "' has no poses");
     for (std::size_t i = 0; i < rows_[0].fields.size(); ++i) {
       const std::string& name = rows_[0].fields[i];
       if (!column_.emplace(name, i).second && !name.empty())
-        refuse("scene.index.twice", rows_[0].place + ": has the column '" + name + "' twice");
+        refuse_stray("scene.index.twice", rows_[0].place + ": has the column '" + name + "' twice");
     }
     for (const char* name : {"x", "y", "z", "qx", "qy", "qz", "qw"})
-      if (!has(name)) refuse("scene.index.format", "'" + path + "' has no column '" + name + "'");
+      if (!has(name)) refuse_stray("scene.index.format", "'" + path + "' has no column '" + name + "'");
   }
   bool has(const char* name) const { return column_.count(name) > 0; }
   // The row of each frame by its number, which is its place where no column tells it.
@@ -46,15 +46,15 @@ class Odometry {
     for (std::size_t i = 1; i < rows_.size(); ++i) {
       const TextRow& row = rows_[i];
       if (row.fields.size() > rows_[0].fields.size())
-        refuse("scene.index.format", fmt::format("{}: has {} columns, the first row {}", row.place, row.fields.size(),
-                                                 rows_[0].fields.size()));
+        refuse_stray("scene.index.format", fmt::format("{}: has {} columns, the first row {}", row.place,
+                                                       row.fields.size(), rows_[0].fields.size()));
       const double number = has("frame") ? value(row, "frame") : static_cast<double>(i - 1);
       if (!(number >= 0 && number <= 1e9 && number == std::floor(number)))
-        refuse("scene.index.value", row.place + ": 'frame' is not the number of a frame");
+        refuse_stray("scene.index.value", row.place + ": 'frame' is not the number of a frame");
       if (const auto [other, fresh] = out.emplace(static_cast<std::int64_t>(number), &row); !fresh)
-        refuse("scene.index.twice",
-               fmt::format("{}: is of frame {}, as {}", row.place, other->first, other->second->place),
-               "keep one of the two lines");
+        refuse_stray("scene.index.twice",
+                     fmt::format("{}: is of frame {}, as {}", row.place, other->first, other->second->place),
+                     "keep one of the two lines");
     }
     return out;
   }
@@ -62,7 +62,7 @@ class Odometry {
     const std::size_t i = column_.at(name);
     double number = 0;
     if (i < row.fields.size() && parse_number(row.fields[i], number)) return number;
-    refuse("scene.index.value", row.place + ": '" + name + "' is not a number");
+    refuse_stray("scene.index.value", row.place + ": '" + name + "' is not a number");
   }
 
  private:
@@ -77,7 +77,7 @@ Camera read_matrix(const std::string& path) {
   for (std::size_t i = 0; sound && i < 9; ++i)
     sound = rows[i / 3].fields.size() == 3 && parse_number(rows[i / 3].fields[i % 3], k[i]);
   if (!sound || k[1] != 0 || k[3] != 0 || k[6] != 0 || k[7] != 0 || k[8] != 1)
-    refuse("scene.camera.format", "'" + path + "' is not a pinhole camera's matrix of three rows");
+    refuse_stray("scene.camera.format", "'" + path + "' is not a pinhole camera's matrix of three rows");
   return {.fx = k[0], .fy = k[4], .cx = k[2], .cy = k[5]};
 }
 

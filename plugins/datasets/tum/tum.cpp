@@ -31,7 +31,7 @@ struct TumParams : PhotographParams {
 
 namespace {
 
-[[noreturn]] void refuse(Code code, const std::string& what, const char* remedy = "export the recording again") {
+[[noreturn]] void refuse_tum(Code code, const std::string& what, const char* remedy = "export the recording again") {
   throw Error(ErrorKind::data, code, what, remedy);
 }
 
@@ -50,20 +50,20 @@ std::vector<TimedRow> read_list(const std::string& path, std::size_t words) {
     for (const std::string& field : row.fields)
       if (!field.empty()) timed.words.push_back(field);
     if (timed.words.size() != words + 1)
-      refuse("scene.index.format",
-             fmt::format("{}: {} words; a line has a time and {}", row.place, timed.words.size(), words));
+      refuse_tum("scene.index.format",
+                 fmt::format("{}: {} words; a line has a time and {}", row.place, timed.words.size(), words));
     if (!parse_real(timed.words[0], timed.time_s))
-      refuse("scene.index.value", row.place + ": '" + timed.words[0] + "' is not a time");
+      refuse_tum("scene.index.value", row.place + ": '" + timed.words[0] + "' is not a time");
     timed.words.erase(timed.words.begin());
     rows.push_back(std::move(timed));
   }
-  if (rows.empty()) refuse("scene.index.format", "'" + path + "' has no lines");
+  if (rows.empty()) refuse_tum("scene.index.format", "'" + path + "' has no lines");
   std::stable_sort(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s < b.time_s; });
   const auto twice =
       std::adjacent_find(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s == b.time_s; });
   if (twice != rows.end())
-    refuse("scene.index.twice", std::next(twice)->place + ": has the time of " + twice->place,
-           "keep one of the two lines");
+    refuse_tum("scene.index.twice", std::next(twice)->place + ": has the time of " + twice->place,
+               "keep one of the two lines");
   return rows;
 }
 
@@ -83,7 +83,7 @@ TimedPose pose_in(const TimedRow& row) {
   std::array<double, 7> n{};
   for (std::size_t i = 0; i < n.size(); ++i)
     if (!parse_number(row.words[i], n[i]))
-      refuse("scene.index.value", row.place + ": '" + row.words[i] + "' is not a number");
+      refuse_tum("scene.index.value", row.place + ": '" + row.words[i] + "' is not a number");
   return {{n[0], n[1], n[2]}, {n[6], n[3], n[4], n[5]}};
 }
 
@@ -190,8 +190,8 @@ SceneInfo find_photographs(const TumParams& params, PosedPhotographs& files, Dia
   }
   const long within_ms = std::lround(1000 * params.within_s);
   if (photos.empty())
-    refuse("scene.pose.count", fmt::format("'{}': no image has a pose within {} ms", root.string(), within_ms),
-           "check that rgb.txt and groundtruth.txt are of one recording, or raise scene.within_s");
+    refuse_tum("scene.pose.count", fmt::format("'{}': no image has a pose within {} ms", root.string(), within_ms),
+               "check that rgb.txt and groundtruth.txt are of one recording, or raise scene.within_s");
   if (without_pose > 0)
     diagnostics.note("scene.pose.count", "'" + (root / "groundtruth.txt").string() + "'",
                      fmt::format("{} of {} images have no pose within {} ms and are left out", without_pose,
