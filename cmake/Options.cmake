@@ -55,3 +55,7 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_L
   # an overlap in `"text" + string` that cannot be (GCC bug 105651, mended in 13).
   target_compile_options(semfield_warnings INTERFACE "$<$<COMPILE_LANGUAGE:CXX>:-Wno-maybe-uninitialized;-Wno-uninitialized;-Wno-restrict>")
 endif()
+
+# Of code that reads, checks, writes and says, and loops over no pixels or samples: -O1 takes a third less time to compile than -O3.
+add_library(semfield_light INTERFACE)
+target_compile_options(semfield_light INTERFACE "$<$<AND:$<CONFIG:Release>,$<COMPILE_LANGUAGE:CXX>>:-O1>")
