@@ -45,6 +45,9 @@ if(SEMFIELD_BUILD_FUZZERS)
   add_compile_options(-fsanitize=fuzzer-no-link)
 endif()
 set(CMAKE_CXX_FLAGS_RELEASE "-O3")
+# Of code that reads, checks, writes and says, and loops over no pixels or samples: -O1 takes a third less time to compile than -O3.
+add_library(semfield_light INTERFACE)
+target_compile_options(semfield_light INTERFACE "$<$<AND:$<CONFIG:Release>,$<COMPILE_LANGUAGE:CXX>>:-O1>")
 
 # Warnings of our own code.
 add_library(semfield_warnings INTERFACE)
@@ -55,7 +58,3 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_L
   # an overlap in `"text" + string` that cannot be (GCC bug 105651, mended in 13).
   target_compile_options(semfield_warnings INTERFACE "$<$<COMPILE_LANGUAGE:CXX>:-Wno-maybe-uninitialized;-Wno-uninitialized;-Wno-restrict>")
 endif()
-
-# Of code that reads, checks, writes and says, and loops over no pixels or samples: -O1 takes a third less time to compile than -O3.
-add_library(semfield_light INTERFACE)
-target_compile_options(semfield_light INTERFACE "$<$<AND:$<CONFIG:Release>,$<COMPILE_LANGUAGE:CXX>>:-O1>")

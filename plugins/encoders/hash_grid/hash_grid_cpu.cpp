@@ -45,21 +45,9 @@ struct AxisCells {
   alignas(64) Real far[3][kLanes];
 };
 
-template <class Real, Interpolation kInterpolation>
-inline void find_cells_by_axis(const HashGridLevel& level, const double* x, AxisCells<Real>& out) {
-  const auto resolution = static_cast<double>(level.resolution);
-  for (int d = 0; d < 3; ++d) {
-    for (std::int32_t i = 0; i < kLanes; ++i) {
-      const AxisCell<Real> at = axis_cell<Real>(clamp_unit(x[3 * i + d]), resolution);
-      out.cell[d][i] = at.cell;
-      out.far[d][i] = far_weight(at.place, kInterpolation);
-    }
-  }
-}
-
 #if defined(__AVX512F__)
-/// The same operations, so the same bits. All 48 coordinates are worked on as they lie; then 32-bit halves are sorted
-/// by axis.
+/// The operations of find_cells, so the same bits. All 48 coordinates are worked on as they lie; then 32-bit halves are
+/// sorted by axis.
 template <Interpolation kInterpolation>
 inline void find_cells_avx512(const HashGridLevel& level, const double* x, AxisCells<float>& out) {
   const __m512d resolution = _mm512_set1_pd(static_cast<double>(level.resolution));
@@ -104,7 +92,14 @@ inline void find_cells(const HashGridLevel& level, const double* x, AxisCells<Re
 #if defined(__AVX512F__)
   if constexpr (std::is_same_v<Real, float>) return find_cells_avx512<kInterpolation>(level, x, out);
 #endif
-  find_cells_by_axis<Real, kInterpolation>(level, x, out);
+  const auto resolution = static_cast<double>(level.resolution);
+  for (int d = 0; d < 3; ++d) {
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const AxisCell<Real> at = axis_cell<Real>(clamp_unit(x[3 * i + d]), resolution);
+      out.cell[d][i] = at.cell;
+      out.far[d][i] = far_weight(at.place, kInterpolation);
+    }
+  }
 }
 
 /// Edges of kLanes samples, x [kLanes, 3] contiguous. No part of its callers, of which there are many.
@@ -138,8 +133,7 @@ inline std::int64_t far_entry(const Edges<Real>& edges, int e, std::int64_t i) {
   return kDense ? edges.near_entry[e][i] + 1 : edges.near_entry[e][i] ^ edges.flip[i];
 }
 
-// The slopes of a level, in steps that each know at compile time only what they depend on: one function of all choices
-// would be compiled 16 times a precision, which took most of the time that this file needs.
+// The slopes of a level, in steps that each know at compile time only what they depend on: they compile much sooner.
 
 /// Weights of the two ends along each axis, and the slope of the far one, of kLanes samples.
 template <class Real>
