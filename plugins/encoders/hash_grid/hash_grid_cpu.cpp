@@ -204,24 +204,6 @@ template <class Real>
   }
 }
 
-/// slopes += dy times the slope of kLanes samples along each axis, x [kLanes, 3] contiguous, dy [F, kLanes]: the sum
-/// over the corners of N w'(place) times the other axes' weights times <dy, entry>.
-template <class Real, std::int32_t kFeatures, bool kDense>
-inline void add_slopes(const HashGridLevel& level, Interpolation interpolation, const Real* table, const double* x,
-                       const Real (*dy)[kLanes], double (*slopes)[kLanes]) {
-  AxisCells<Real> cells;
-  find_cells<Real, Interpolation::linear>(level, x, cells);  // so that far is the place
-  AxisSlopes<Real> at;
-  const auto resolution = static_cast<Real>(level.resolution);
-  interpolation == Interpolation::smoothstep ? find_slopes<Real, Interpolation::smoothstep>(resolution, cells, at)
-                                             : find_slopes<Real, Interpolation::linear>(resolution, cells, at);
-  alignas(64) std::uint32_t entry[8][kLanes];
-  find_corners<Real, kDense>(level, cells, entry);
-  alignas(64) Real product[8][kLanes];
-  multiply_corners<Real, kFeatures>(table, entry, dy, product);
-  add_corners<Real>(at, product, slopes);
-}
-
 /// Two floats, the usual entry: both ends of an edge travel in one 128-bit register.
 #if defined(__FMA__)
 template <class Real, std::int32_t kFeatures>
@@ -529,8 +511,18 @@ void input_gradient(const HashGridShape& shape, const View<Real>* tables, View<c
         for (std::int64_t i = 0; i < kLanes; ++i) {
           for (std::int32_t f = 0; f < kF; ++f) gradient[f][i] = r + i < x.rows ? dy(r + i, l * kF + f) : Real(0);
         }
-        add_slopes<Real, kF, kDense>(level, shape.interpolation, tables[l].data, rows.at(r), gradient,
-                                     slopes[r / kLanes]);
+        AxisCells<Real> cells;
+        find_cells<Real, Interpolation::linear>(level, rows.at(r), cells);  // so that far is the place
+        AxisSlopes<Real> at;
+        const auto resolution = static_cast<Real>(level.resolution);
+        shape.interpolation == Interpolation::smoothstep
+            ? find_slopes<Real, Interpolation::smoothstep>(resolution, cells, at)
+            : find_slopes<Real, Interpolation::linear>(resolution, cells, at);
+        alignas(64) std::uint32_t entry[8][kLanes];
+        find_corners<Real, kDense>(level, cells, entry);
+        alignas(64) Real product[8][kLanes];
+        multiply_corners<Real, kF>(tables[l].data, entry, gradient, product);
+        add_corners<Real>(at, product, slopes[r / kLanes]);
       }
     });
   }
