@@ -293,6 +293,22 @@ TEST(Clusters, StuffAndWhatIsTooSmallAreNoObjects) {
   EXPECT_EQ(group[30], -1);
 }
 
+// Each of two points is a thing's, and both may be the wall's: together they vote for it.
+TEST(ObjectTable, NoObjectIsOfAClassOfStuff) {
+  const Row row("cc");
+  const std::vector<std::int32_t> one{1, 1};
+  const PointClasses classes{3, {0.45f, 0.5f, 0.05f, 0.45f, 0.1f, 0.45f}};
+  const std::vector<ObjectRow> free = object_table(row.surface, one, {}, classes, {false, false, false});
+  EXPECT_EQ(free.at(0).class_index, kWall);
+  const std::vector<ObjectRow> rows = object_table(row.surface, one, {}, classes, {true, false, false});
+  ASSERT_EQ(rows.size(), 1u);
+  EXPECT_EQ(rows[0].class_index, kChair);
+  EXPECT_NEAR(rows[0].class_probability, 0.3, 1e-6);
+  const std::vector<ObjectRow> none = object_table(row.surface, one, {}, classes, {true, true, true});
+  EXPECT_EQ(none[0].class_index, kVoid);
+  EXPECT_EQ(none[0].class_probability, 0);
+}
+
 // Segments made worse: shares, numbers, and the same again for the same seed.
 
 // Ten bars, each 8 pixels wide, in two equal frames; bar k is of class k % 3.

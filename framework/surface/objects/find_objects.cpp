@@ -125,7 +125,7 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
     found.id = cluster_points(pool, {place, {stuff.get(), positions.size()}}, sights, rules);
     for (std::int32_t& id : found.id) ++id;
   }
-  found.rows = object_table(found.surface, found.id, sights, classes);
+  found.rows = object_table(found.surface, found.id, sights, classes, found.stuff);
   for (std::size_t k = 0; k < told.class_of.size(); ++k) found.rows[k].class_index = told.class_of[k];
   clock.part("groups");
   return found;

@@ -27,7 +27,7 @@ struct ObjectRow {
   std::int32_t id = 0;               ///< from 1 on; the number in images and files
   std::int16_t class_index = kVoid;  ///< kVoid: not known
   std::string name;                  ///< that a person gave it; "": none
-  double class_probability = 0;      ///< share of the votes for the class that has most
+  double class_probability = 0;      ///< share of all votes that are for it
   double agreement = 0;              ///< mean share of its sights in a view that lie in one segment
   std::int32_t views = 0;            ///< training views that see it
   std::int64_t points = 0;

@@ -291,7 +291,8 @@ void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position,
 }
 
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
-                                    std::span<const SegmentSights> sights, const PointClasses& classes) {
+                                    std::span<const SegmentSights> sights, const PointClasses& classes,
+                                    const std::vector<bool>& stuff) {
   const std::int32_t most = id.empty() ? 0 : *std::max_element(id.begin(), id.end());
   std::vector<ObjectRow> rows(static_cast<std::size_t>(most));
   std::vector<std::vector<double>> votes(rows.size(), std::vector<double>(static_cast<std::size_t>(classes.classes)));
@@ -320,12 +321,14 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
     ObjectRow& row = rows[o];
     row.id = static_cast<std::int32_t>(o) + 1;
     if (row.views > 0) row.agreement /= row.views;
-    double all = 0;
-    for (const double v : votes[o]) all += v;
-    if (!(all > 0)) continue;
-    const auto best = std::max_element(votes[o].begin(), votes[o].end());
-    row.class_index = static_cast<std::int16_t>(best - votes[o].begin());
-    row.class_probability = *best / all;
+    double all = 0, best = 0;
+    for (std::size_t c = 0; c < votes[o].size(); ++c) {
+      all += votes[o][c];
+      if (stuff[c] || !(votes[o][c] > best)) continue;
+      best = votes[o][c];
+      row.class_index = static_cast<std::int16_t>(c);
+    }
+    if (best > 0) row.class_probability = best / all;
   }
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : surface.pool.points) positions.push_back(point.position);

@@ -63,9 +63,11 @@ PointClasses classes_of_points(Session& session, std::span<const Vec3d> position
 void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position, std::span<const std::int32_t> id,
                      double cell_m);
 
-/// A row per object of `id` [N], by id.
+/// A row per object of `id` [N], by id. No object is of a class of `stuff` [classes], however many votes it has; where
+/// all votes are for such, its class is not known.
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
-                                    std::span<const SegmentSights> sights, const PointClasses& classes);
+                                    std::span<const SegmentSights> sights, const PointClasses& classes,
+                                    const std::vector<bool>& stuff);
 
 /// One change. `objects`: one id, or those that are merged, of which the first stays.
 struct ObjectEdit {
