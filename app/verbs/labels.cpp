@@ -468,7 +468,9 @@ ClassTable table_of(const ClassesOptions& options) {
                 "give scannetv2-labels.combined.tsv");
   }
   const std::vector<std::string> published = published_class_names();
-  if (std::find(published.begin(), published.end(), options.in) != published.end())
+  const std::filesystem::path path(options.in);
+  const bool is_word = !path.has_parent_path() && !path.has_extension() && !is_there(path);
+  if (is_word || std::find(published.begin(), published.end(), options.in) != published.end())
     return published_classes(options.in);
   if (is_tsv) {
     return load_scannet_classes(options.in, options.ids == "raw"     ? ScannetIds::raw

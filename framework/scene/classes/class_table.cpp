@@ -487,8 +487,10 @@ ClassTable published_classes(const std::string& name) {
       entries.push_back({id, name_in(kNyu40, id), {channel(16), channel(8), channel(0)}, false});
     }
   } else {
-    throw Error(ErrorKind::usage, "classes.published.unknown", "no published class table '" + name + "'",
-                "there are " + join(published_class_names()));
+    const std::vector<std::string> known = published_class_names();
+    throw Error(ErrorKind::usage, "classes.published.unknown",
+                "no published class table '" + name + "'; known: " + join(known),
+                near_name_remedy(name, known, "take one of them, or a .yaml, .csv or .json file"));
   }
   return with_void(std::move(entries));
 }
