@@ -26,6 +26,10 @@ std::string shown_place(std::int64_t row, std::int32_t col) {
   return text;
 }
 
+std::string shown_shape(std::int64_t rows, std::int32_t cols) {
+  return std::to_string(rows) + " x " + std::to_string(cols);
+}
+
 std::string to_text(const Failures& failures) {
   std::string text;
   for (const std::string& failure : failures) text += failure + "\n";

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/check.h"
 #include "core/non_copyable.h"
 #include "core/view.h"
 #include "plugin/parametric.h"
@@ -19,6 +20,16 @@ namespace semfield::testkit {
 /// "1.25", and "element (3, 0)".
 std::string shown_number(double value);
 std::string shown_place(std::int64_t row, std::int32_t col);
+/// "3 x 2"
+std::string shown_shape(std::int64_t rows, std::int32_t cols);
+
+/// "" for views of one shape, or both without elements, else "has shape 3 x 2, expected 3 x 4".
+template <class A, class B>
+std::string compare_shapes(View<const A> got, View<const B> want) {
+  if (got.rows == want.rows && got.cols == want.cols) return {};
+  if (got.rows * got.cols == 0 && want.rows * want.cols == 0) return {};
+  return "has shape " + shown_shape(got.rows, got.cols) + ", expected " + shown_shape(want.rows, want.cols);
+}
 
 struct Difference {
   double max_abs = 0;    ///< largest |got - want|; infinity when exactly one of the two is not finite
@@ -28,9 +39,11 @@ struct Difference {
   double got = 0, want = 0;  ///< the values there
 };
 
-/// Element by element; the views have the same shape.
+/// Element by element; views of two shapes are a defect of the caller.
 template <class A, class B>
 Difference difference(View<const A> got, View<const B> want) {
+  const std::string shapes = compare_shapes(got, want);
+  SEMFIELD_CHECK(shapes.empty(), shapes);
   Difference worst;
   for (std::int64_t r = 0; r < want.rows; ++r) {
     for (std::int32_t c = 0; c < want.cols; ++c) {
@@ -51,9 +64,11 @@ Difference difference(View<const A> got, View<const B> want) {
   return worst;
 }
 
-/// "" when max |got - want| <= tolerance * max(|want|, floor), else a sentence with the worst element.
+/// "" when shapes are equal and max |got - want| <= tolerance * max(|want|, floor), else a sentence with the worst
+/// element.
 template <class A, class B>
 std::string compare(View<const A> got, View<const B> want, double tolerance, double floor = 1e-30) {
+  if (std::string shapes = compare_shapes(got, want); !shapes.empty()) return shapes;
   const Difference worst = difference(got, want);
   const double allowed = tolerance * std::max(worst.max_want, floor);
   if (worst.max_abs <= allowed) return {};
@@ -62,10 +77,11 @@ std::string compare(View<const A> got, View<const B> want, double tolerance, dou
          ")";
 }
 
-/// "" when the norm of got - want is at most tolerance times the norm of want (roots of sums of squares): for
-/// quantities with jumps, where single elements may differ by all they have.
+/// "" when shapes are equal and the norm of got - want is at most tolerance times the norm of want (roots of sums of
+/// squares): for quantities with jumps, where single elements may differ by all they have.
 template <class A, class B>
 std::string compare_norms(View<const A> got, View<const B> want, double tolerance) {
+  if (std::string shapes = compare_shapes(got, want); !shapes.empty()) return shapes;
   double off = 0, all = 0;
   for (std::int64_t r = 0; r < want.rows; ++r) {
     for (std::int32_t c = 0; c < want.cols; ++c) {
@@ -78,9 +94,10 @@ std::string compare_norms(View<const A> got, View<const B> want, double toleranc
   return "differs by " + shown_number(std::sqrt(off)) + " in norm, allowed " + shown_number(tolerance * std::sqrt(all));
 }
 
-/// "" when every element has the same bits, else a sentence with the first element that has not.
+/// "" when shapes are equal and every element has the same bits, else a sentence with the first element that has not.
 template <class A>
 std::string compare_bits(View<const A> got, View<const A> want) {
+  if (std::string shapes = compare_shapes(got, want); !shapes.empty()) return shapes;
   for (std::int64_t r = 0; r < want.rows; ++r) {
     for (std::int32_t c = 0; c < want.cols; ++c) {
       const A a = got(r, c);

@@ -172,6 +172,18 @@ TEST(Compare, NamesTheWorstElement) {
   EXPECT_NE((compare<float, double>(got.view(), want.view(), 1e9)), "");
 }
 
+TEST(Compare, OtherShapesAreNoEqualNumbers) {
+  Guarded<double> want(2, 2), longer(3, 2), wider(2, 3);
+  for (Guarded<double>* one : {&want, &longer, &wider}) one->fill(1);
+  for (Guarded<double>* got : {&longer, &wider}) {
+    const std::string shapes = got == &longer ? "has shape 3 x 2, expected 2 x 2" : "has shape 2 x 3, expected 2 x 2";
+    EXPECT_EQ((compare<double, double>(got->view(), want.view(), 1)), shapes);
+    EXPECT_EQ((compare_norms<double, double>(got->view(), want.view(), 1)), shapes);
+    EXPECT_EQ(compare_bits<double>(got->view(), want.view()), shapes);
+    EXPECT_THROW((void)(difference<double, double>(got->view(), want.view())), Error);
+  }
+}
+
 TEST(Compare, BitsTellZeroFromMinusZero) {
   Guarded<double> a(1, 1);
   Guarded<double> b(1, 1);
