@@ -52,14 +52,10 @@ TEST(Png, RgbRoundTrip) {
   const auto rgb = noise(37 * 21 * 3);
   write_png_rgb(path, 37, 21, rgb);
   const Image<std::uint8_t> back = read_rgb(path);
-  EXPECT_EQ(back.width_px, 37);
-  EXPECT_EQ(back.height_px, 21);
-  EXPECT_EQ(back.channels, 3);
+  EXPECT_EQ((std::array{back.width_px, back.height_px, back.channels}), (std::array{37, 21, 3}));
   EXPECT_EQ(back.pixels, rgb);
   const ImageSize size = image_size(path);
-  EXPECT_EQ(size.width_px, 37);
-  EXPECT_EQ(size.channels, 3);
-  EXPECT_EQ(size.bits, 8);
+  EXPECT_EQ((std::array{size.width_px, size.channels, size.bits}), (std::array{37, 3, 8}));
 }
 
 TEST(Png, PaletteEntriesMayBeTransparent) {
@@ -152,21 +148,15 @@ SceneInfo room_info(int frames) {
   SceneInfo info{.name = "room", .metric = true, .near_hint_m = 0.1, .far_hint_m = 7};
   info.bounds.include({-2, -1.5, -2.5});
   info.bounds.include({2, 1.5, 2.5});
-  info.classes = ClassTable({{0, "void", {}, true},
-                             {1, "west", {1, 2, 3}, false},
-                             {2, "east", {}, false},
-                             {3, "up", {}, false},
-                             {40, "down", {}, false},
-                             {50, "south", {}, false},
-                             {600, "north", {}, false}});
+  std::vector<ClassEntry> classes{{0, "void", {}, true}, {1, "west", {1, 2, 3}, false}};
+  for (const auto& [id, name] : {std::pair{2, "east"}, {3, "up"}, {40, "down"}, {50, "south"}, {600, "north"}})
+    classes.push_back({id, name, {}, false});
+  info.classes = ClassTable(classes);
   for (int i = 0; i < frames; ++i) {
-    FrameInfo f{.name = "rgb_" + std::to_string(i)};
-    f.source = "somewhere/" + f.name;
-    f.camera = room_camera(12, 9);
-    f.camera.k1 = 0.01 * i;
-    f.world_from_camera = room_pose(i);
-    f.split = i % 2 == 0 ? Split::train : Split::test;
-    info.frames.push_back(f);
+    const std::string name = "rgb_" + std::to_string(i);
+    const Split split = i % 2 == 0 ? Split::train : Split::test;
+    info.frames.push_back({name, "somewhere/" + name, room_camera(12, 9), room_pose(i), split});
+    info.frames.back().camera.k1 = 0.01 * i;
   }
   return info;
 }
@@ -259,10 +249,8 @@ TEST(PackedScene, DepthInAnotherUnitIsNotRounded) {
 TEST(PackedScene, FailingSourceLeavesNoFile) {
   const std::string folder = fresh_folder("p");
   const SceneInfo info = room_info(2);
-  EXPECT_THROW(
-      write_packed_scene(folder + "/a", info,
-                         [](int, FrameBuffer&) { throw Error(ErrorKind::data, "test.error.made", "broken frame"); }),
-      Error);
+  const auto broken = [](int, FrameBuffer&) { throw Error(ErrorKind::data, "test.error.made", "broken frame"); };
+  EXPECT_THROW(write_packed_scene(folder + "/a", info, broken), Error);
   EXPECT_TRUE(std::filesystem::is_empty(folder));
 }
 
@@ -298,21 +286,19 @@ struct NpyCase {
 
 TEST(Npy, TypesOrdersAndVersions) {
   const NpyCase c;
-  const std::vector<float> want{0, 0.5F, 1, 1.5F, 2, 2.5F};
-  EXPECT_EQ(c.read(npy(header("<f4", "(2, 3)"), npz_bytes_of(want))).values, want);
-  EXPECT_EQ(c.read(npy(header("<f4", "(2, 3)"), npz_bytes_of(want), 2)).shape, (std::vector<std::int64_t>{2, 3}));
-  EXPECT_EQ(c.read(npy(header("<f8", "(6,)"), npz_bytes_of(std::vector<double>(want.begin(), want.end())))).values,
-            want);
-  EXPECT_EQ(c.read(npy(header("<f2", "(2,)"), npz_bytes_of(std::vector<std::uint16_t>{0x3C00, 0x3800}))).values,
-            (std::vector<float>{1, 0.5F}));
-  EXPECT_EQ(c.read(npy(header(">f2", "(2,)"), std::string("\x3C\x00\x38\x00", 4))).values,
-            (std::vector<float>{1, 0.5F}));
+  using Floats = std::vector<float>;
+  const Floats want{0, 0.5F, 1, 1.5F, 2, 2.5F};
+  const std::string bytes = npz_bytes_of(want), wide = npz_bytes_of(std::vector<double>(want.begin(), want.end()));
+  EXPECT_EQ(c.read(npy(header("<f4", "(2, 3)"), bytes)).values, want);
+  EXPECT_EQ(c.read(npy(header("<f4", "(2, 3)"), bytes, 2)).shape, (std::vector<std::int64_t>{2, 3}));
+  EXPECT_EQ(c.read(npy(header("<f8", "(6,)"), wide)).values, want);
+  EXPECT_EQ(c.read(npy(header("<f2", "(2,)"), std::string("\x00\x3C\x00\x38", 4))).values, (Floats{1, 0.5F}));
+  EXPECT_EQ(c.read(npy(header(">f2", "(2,)"), std::string("\x3C\x00\x38\x00", 4))).values, (Floats{1, 0.5F}));
   const NumpyArray u = c.read(npy(header("|u1", "(3,)"), std::string("\xFF\x00\x33", 3)));
   EXPECT_TRUE(u.from_bytes);
-  EXPECT_EQ(u.values, (std::vector<float>{1, 0, 0.2F}));
-  EXPECT_EQ(c.read(npy(header("<f4", "(3, 2)", "True"), npz_bytes_of(want))).values,
-            (std::vector<float>{0, 1.5F, 0.5F, 2, 1, 2.5F}));
-  EXPECT_EQ(c.read(npy(header("<f4", "()"), npz_bytes_of(std::vector<float>{7}))).values, (std::vector<float>{7}));
+  EXPECT_EQ(u.values, (Floats{1, 0, 0.2F}));
+  EXPECT_EQ(c.read(npy(header("<f4", "(3, 2)", "True"), bytes)).values, (Floats{0, 1.5F, 0.5F, 2, 1, 2.5F}));
+  EXPECT_EQ(c.read(npy(header("<f4", "()"), npz_bytes_of(Floats{7}))).values, Floats{7});
   EXPECT_TRUE(c.read(npy(header("<f4", "(0, 3)"), "")).values.empty());
 }
 
@@ -474,20 +460,15 @@ TEST(Npz, EntriesThatOverlapAreRefused) {
 TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
   const NpyCase c;
   plain_write(c.path, npy(header("|u1", "(2, 3)"), std::string(6, '\1')));
-  EXPECT_EQ(error_of([&] {
-              (void)read_npy(c.path, [](std::span<const std::int64_t> shape) {
-                throw Error(ErrorKind::data, "test.error.made", "not " + shape_text(shape));
-              });
-            }),
-            "'" + c.path + "': not (2, 3)");
-  InputLimits small;
-  small.image_bytes = 23;  // six values of four bytes are 24
+  const auto none = [](std::span<const std::int64_t> shape) {
+    throw Error(ErrorKind::data, "test.error.made", "not " + shape_text(shape));
+  };
+  EXPECT_EQ(error_of([&] { (void)read_npy(c.path, none); }), "'" + c.path + "': not (2, 3)");
+  const InputLimits small{.image_bytes = 23};  // six values of four bytes are 24
   WorkSettings work{.limits = &small};
-  const std::string refused = error_of([&] {
-    const WorkScope scope(work);
-    (void)read_npy(c.path, {});
-  });
-  EXPECT_HAS(refused, "'" + c.path + "'", "(2, 3)", "24 bytes", "at most 23", "limits.image_bytes");
+  const WorkScope scope(work);
+  EXPECT_HAS(error_of([&] { (void)read_npy(c.path, {}); }), "'" + c.path + "'", "(2, 3)", "24 bytes", "at most 23",
+             "limits.image_bytes");
 }
 
 // Whole files, atomically; frames as they are kept in memory; which frames are held out.
@@ -639,15 +620,15 @@ TEST(Files, AProcessThatEndsBySignalRemovesItsOwn) {
 TEST(Files, WhatDoesNotVerifyTakesNoName) {
   const std::string folder = fresh_folder("f");
   write_file_atomic(folder + "/a", std::string_view("old"));
-  EXPECT_EQ(error_of([&] {
-              AtomicFile file(folder + "/a");
-              file.append(std::as_bytes(std::span<const char>("bad", 3)));
-              file.commit([](const std::string& written) {
-                EXPECT_EQ(read_text_file(written), "bad");
-                throw Error(ErrorKind::io, "test.error.made", "it is bad");
-              });
-            }),
-            "it is bad");
+  {
+    AtomicFile file(folder + "/a");
+    file.append(std::as_bytes(std::span<const char>("bad", 3)));
+    const auto verify = [](const std::string& written) {
+      EXPECT_EQ(read_text_file(written), "bad");
+      throw Error(ErrorKind::io, "test.error.made", "it is bad");
+    };
+    EXPECT_EQ(error_of([&] { file.commit(verify); }), "it is bad");
+  }
   EXPECT_EQ(read_text_file(folder + "/a"), "old");
   EXPECT_EQ(entries(folder), 1u);
 }
@@ -708,14 +689,10 @@ struct FileDataset {
   SceneInfo open(Diagnostics&) const {
     SceneInfo info{.name = "files", .classes = classes};
     for (int i = 0; i < 6; ++i) {
-      FrameInfo f{.name = std::to_string(i),
-                  .camera = room_camera(),
-                  .world_from_camera = room_pose(i),
-                  .split = i % 2 == 0 ? Split::train : Split::test,
-                  .has_depth = true,
-                  .has_labels = true,
-                  .has_instances = true};
-      info.frames.push_back(f);
+      info.frames.push_back({.name = std::to_string(i), .camera = room_camera(), .world_from_camera = room_pose(i)});
+      FrameInfo& f = info.frames.back();
+      f.split = i % 2 == 0 ? Split::train : Split::test;
+      f.has_depth = f.has_labels = f.has_instances = true;
     }
     return info;
   }

@@ -29,12 +29,7 @@ inline Hit trace(Vec3d origin, Vec3d direction) {
 }
 
 inline Camera room_camera(int width = 40, int height = 30) {
-  return Camera{.width_px = width,
-                .height_px = height,
-                .fx = 0.5 * width,
-                .fy = 0.5 * width,
-                .cx = 0.5 * width,
-                .cy = 0.5 * height};
+  return Camera{width, height, 0.5 * width, 0.5 * width, 0.5 * width, 0.5 * height};
 }
 
 /// Turning about the vertical (y down) axis while walking a little.

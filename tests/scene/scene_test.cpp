@@ -6,7 +6,6 @@
 #include <cmath>
 #include <random>
 #include <set>
-#include <sstream>
 
 #include "core/files.h"
 #include "scene/camera.h"
@@ -65,17 +64,6 @@ TEST(Camera, KnownDistortionByHand) {
   EXPECT_NEAR(v, 0.5 * 1.1494140625 + 0.02 * (1.25 + 0.5) + 2 * 0.03 * 0.5, 1e-15);
 }
 
-TEST(Camera, PointsBeyondTheFoldHaveNoDirection) {
-  Camera c = lens_camera();
-  c.k1 = -0.5;  // r (1 - 0.5 r^2) grows up to r = 0.816, where it reaches 0.544
-  EXPECT_EQ(c.direction(c.cx + 0.55 * c.fx, c.cy), (Vec3d{0, 0, 0}));
-  EXPECT_EQ(c.direction(c.cx, c.cy - 0.9 * c.fy), (Vec3d{0, 0, 0}));
-  const Vec3d inside = c.direction(c.cx + 0.54 * c.fx, c.cy);
-  ASSERT_GT(inside.z, 0.0);
-  EXPECT_LT(inside.x / inside.z, 0.8165);
-  EXPECT_GT(inside.x / inside.z, 0.54);
-}
-
 Camera fisheye_camera() {
   Camera c = lens_camera();
   c.lens = LensKind::fisheye;
@@ -114,7 +102,6 @@ TEST(Camera, AFisheyeProjectsAsOpenCvSays) {
 }
 
 TEST(Camera, PixelsOfWideLensesComeBack) {
-  double worst = 0;
   for (const Camera& c : {fisheye_camera(), panorama_camera()}) {
     int rays = 0;
     for (int y = 0; y < c.height_px; y += 7) {
@@ -127,15 +114,12 @@ TEST(Camera, PixelsOfWideLensesComeBack) {
         double u = 0, v = 0;
         ASSERT_TRUE(c.sees(d * 3.7));
         c.project(d * 3.7, u, v);
-        worst = std::max({worst, std::abs(u - x - 0.5), std::abs(v - y - 0.5)});
+        EXPECT_NEAR(u, x + 0.5, 1e-9);
+        EXPECT_NEAR(v, y + 0.5, 1e-9);
       }
     }
     EXPECT_EQ(rays, 92 * 69) << "every pixel has a ray";
   }
-  EXPECT_LE(worst, 1e-9);
-  std::ostringstream shown;
-  shown << worst;
-  RecordProperty("roundtrip_px", shown.str());
 }
 
 TEST(Camera, AFisheyeSeesBehindItselfAndNotBeyondItsFold) {
@@ -251,28 +235,17 @@ TEST(CameraPath, LookAlongIsLevelAndLooksThere) {
   EXPECT_NEAR(dot(down.axis(0), down.axis(2)), 0, 1e-12);
 }
 
-std::vector<Pose> read_text(const std::string& text, CameraAxes axes = CameraAxes::right_down_forward) {
-  const std::string path = fresh_folder("poses") + "/poses.txt";
-  plain_write(path, text);
-  return read_camera_file(path, axes);
-}
-
+// Cases F06 and F09 of tests/numerics have rotations that are almost sound, and pixels beyond a lens's fold.
 TEST(CameraFile, AxesTurnIntoRightDownForward) {
-  const std::string text = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+  const std::string path = fresh_folder("poses") + "/poses.txt";
+  plain_write(path, "1 0 0 0 0 1 0 0 0 0 1 0\n");
   const auto axes = [&](CameraAxes a) {
-    const Pose p = read_text(text, a)[0];
+    const Pose p = read_camera_file(path, a)[0];
     return std::array<Vec3d, 3>{p.axis(0), p.axis(1), p.axis(2)};
   };
   EXPECT_EQ(axes(CameraAxes::right_down_forward), (std::array<Vec3d, 3>{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}));
   EXPECT_EQ(axes(CameraAxes::right_up_backward), (std::array<Vec3d, 3>{{{1, 0, 0}, {0, -1, 0}, {0, 0, -1}}}));
   EXPECT_EQ(axes(CameraAxes::left_up_forward), (std::array<Vec3d, 3>{{{-1, 0, 0}, {0, -1, 0}, {0, 0, 1}}}));
-}
-
-TEST(CameraFile, RotationsAreMadeOrthonormal) {
-  const Pose p = read_text("0.80003 -0.6 0 0 0.6 0.8 0.0002 0 0 0 1.0004 0\n")[0];
-  for (int a = 0; a < 3; ++a) {
-    for (int b = 0; b < 3; ++b) EXPECT_NEAR(dot(p.axis(a), p.axis(b)), a == b ? 1 : 0, 1e-14);
-  }
 }
 
 TEST(SmoothPath, MeetsItsKeysAndTurnsLittleFromFrameToFrame) {
@@ -438,12 +411,7 @@ TEST(Bundle, RightCamerasStayWhereTheyAre) {
 
 TEST(Bundle, AWrongLensComesBack) {
   Truth t;
-  Camera wrong = t.camera;
-  wrong.fx = wrong.fy = 585;
-  wrong.cx = 320;
-  wrong.cy = 240;
-  wrong.k1 = 0;
-  t.state_lens(wrong);
+  t.state_lens({.width_px = 640, .height_px = 480, .fx = 585, .fy = 585, .cx = 320, .cy = 240});
   t.settle();
   const double before = median_error_px(t.bundle);
   adjust_in_rounds(t);
@@ -503,11 +471,10 @@ BundleDepth walls(const Pose& world_from_depth, const Camera& camera) {
 // depth_from_color applied before world_from_color's inverse.
 Pose depth_pose(const Pose& color, const Pose& depth_from_color) {
   Pose out;
-  for (int c = 0; c < 3; ++c) {
-    const Vec3d axis = color.rotate({depth_from_color.r[static_cast<std::size_t>(c)][0],
-                                     depth_from_color.r[static_cast<std::size_t>(c)][1],
-                                     depth_from_color.r[static_cast<std::size_t>(c)][2]});
-    for (int r = 0; r < 3; ++r) out.r[static_cast<std::size_t>(r)][static_cast<std::size_t>(c)] = axis[r];
+  for (std::size_t c = 0; c < 3; ++c) {
+    const auto& row = depth_from_color.r[c];
+    const Vec3d axis = color.rotate({row[0], row[1], row[2]});
+    for (int r = 0; r < 3; ++r) out.r[static_cast<std::size_t>(r)][c] = axis[r];
   }
   out.t = color.apply(depth_from_color.apply_inverse({}));
   return out;
