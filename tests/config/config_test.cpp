@@ -79,9 +79,9 @@ TEST(ConfigTree, ColumnsCountCharacters) {
 }
 
 TEST(ConfigTree, WindowsAndOldMacLineEndsAndByteOrderMark) {
-  for (const std::string text : {"a: 1\r\nb: x\r\n", "a: 1\rb: x\r",
-                                 "\xEF\xBB\xBF"
-                                 "a: 1\nb: x\n"}) {
+  const std::string mark = "\xEF\xBB\xBF";
+  for (const std::string& text :
+       {std::string("a: 1\r\nb: x\r\n"), std::string("a: 1\rb: x\r"), mark + "a: 1\nb: x\n"}) {
     const ConfigNode root = parse(text);
     ASSERT_EQ(root.entries().size(), 2u) << text;
     EXPECT_EQ(root.find("a")->location().text(), "room.yaml:1:4");
@@ -147,9 +147,8 @@ TEST(ConfigTree, DepthOf64IsTheLast) {
 
 TEST(ConfigWrite, BlockAndInlineForms) {
   const std::string yaml =
-      "scene:\n  type: replica\n  betas: [0.9, 0.999]\npasses:\n  - name: coarse\n    sampler:\n      type: "
-      "stratified\n"
-      "    tags: []\n  - 7\n  - [1, 2]\n  - - a\n    - b: {}\nnone: null\n";
+      "scene:\n  type: replica\n  betas: [0.9, 0.999]\npasses:\n  - name: coarse\n    sampler:\n"
+      "      type: stratified\n    tags: []\n  - 7\n  - [1, 2]\n  - - a\n    - b: {}\nnone: null\n";
   EXPECT_EQ(write_config(parse(yaml)), yaml);
   EXPECT_EQ(
       write_config_inline(parse(yaml)),
@@ -351,54 +350,51 @@ TEST_F(Overrides, ListItemsByName) {
 // What messages call a pass that is given no name.
 TEST(Names, OfPassesWithoutOneAndOfBranches) {
   const TempDir folder;
-  const std::string path = folder.write("room.yaml",
-                                        "passes:\n"
-                                        "  - {n: 1, semantic: [{labels: few, n: 1}, {labels: any, n: 1}]}\n"
-                                        "  - {name: a.b, n: 1}\n"
-                                        "  - {name: '2', n: 1}\n"
-                                        "  - {n: 1, losses: [{type: x, n: 1}]}\n");
+  const std::string path =
+      folder.write("room.yaml",
+                   "passes:\n  - {n: 1, semantic: [{labels: few, n: 1}, {labels: any, n: 1}]}\n  - {name: a.b, n: 1}\n"
+                   "  - {name: '2', n: 1}\n  - {n: 1, losses: [{type: x, n: 1}]}\n");
   const ConfigNode passes = *compose_config(path).find("passes");
+  const auto set = [&](const std::string& of_passes) {
+    return write_config(compose_config(path, {"passes." + of_passes + ".n=2"}));
+  };
   // A name with a dot, and one that looks like an index, are no keys.
   const char* keys[] = {"main", "1", "2", "pass3"};
   for (std::size_t i = 0; i < 4; ++i) {
     EXPECT_EQ(item_key(passes, i), keys[i]);
-    EXPECT_EQ(write_config(compose_config(path, {"passes." + std::string(keys[i]) + ".n=2"})),
-              write_config(compose_config(path, {"passes." + std::to_string(i) + ".n=2"})));
+    EXPECT_EQ(set(keys[i]), set(std::to_string(i)));
   }
-  EXPECT_EQ(write_config(compose_config(path, {"passes.main.semantic.any.n=2"})),
-            write_config(compose_config(path, {"passes.0.semantic.1.n=2"})));
+  EXPECT_EQ(set("main.semantic.any"), set("0.semantic.1"));
   EXPECT_EQ(item_key(*passes.items()[3].find("losses"), 0), "0");
 }
 
 TEST_F(Overrides, RefusesPathsThatLeadNowhere) {
-  const std::pair<const char*, std::string> cases[] = {{"passes.corse.name=x", "did you mean 'coarse'?"},
-                                                       {"passes.-1.name=x", "got '-1'"},
-                                                       {"none.0=x", "it is empty, got '0'"},
-                                                       {"train..x=1", "empty key"},
-                                                       {"include=x.yaml", "not by an override"},
-                                                       {"a=*x", "aliases"}};
-  for (const auto& [words, said] : cases) EXPECT_HAS(refused(words), "--set " + std::string(words) + ": ", said);
+  const std::vector<std::pair<std::string, std::string>> cases{{"passes.corse.name=x", "did you mean 'coarse'?"},
+                                                               {"passes.-1.name=x", "got '-1'"},
+                                                               {"none.0=x", "it is empty, got '0'"},
+                                                               {"train..x=1", "empty key"},
+                                                               {"include=x.yaml", "not by an override"},
+                                                               {"a=*x", "aliases"}};
+  for (const auto& [words, said] : cases) EXPECT_HAS(refused(words), "--set " + words + ": ", said);
 }
 
 TEST(Like, OwnKeysWinOverTheNamedPass) {
   const TempDir folder;
-  const std::string path = folder.write("room.yaml",
-                                        "passes:\n"
-                                        "  - name: coarse\n    sampler: {type: stratified, samples: 64}\n    field: "
-                                        "{type: nerf_mlp, depth: 8, width: 256}\n"
-                                        "  - name: fine\n    like: coarse\n    sampler: {type: importance, "
-                                        "keep_previous: true}\n    field: {width: 128}\n"
-                                        "  - like: fine\n    name: finest\n");
-  EXPECT_EQ(
-      write_config_inline(*compose_config(path).find("passes")),
-      "[{name: coarse, sampler: {type: stratified, samples: 64}, field: {type: nerf_mlp, depth: 8, width: 256}}, "
-      "{name: fine, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: 128}}, "
-      "{name: finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: "
-      "128}}]");
+  const std::string coarse =
+      "name: coarse, sampler: {type: stratified, samples: 64}, field: {type: nerf_mlp, depth: 8, width: 256}";
+  const std::string path =
+      folder.write("room.yaml", "passes:\n  - {" + coarse +
+                                    "}\n  - {name: fine, like: coarse, sampler: {type: importance, n: 9}, "
+                                    "field: {width: 128}}\n  - like: fine\n    name: finest\n");
+  const auto like_fine = [](const std::string& name, int depth) {
+    return "{name: " + name +
+           ", sampler: {type: importance, n: 9}, field: {type: nerf_mlp, depth: " + std::to_string(depth) +
+           ", width: 128}}";
+  };
+  EXPECT_EQ(write_config_inline(*compose_config(path).find("passes")),
+            "[{" + coarse + "}, " + like_fine("fine", 8) + ", " + like_fine("finest", 8) + "]");
   // An override of the named pass reaches those that are like it.
-  EXPECT_HAS(write_config_inline(compose_config(path, {"passes.0.field.depth=4"})),
-             "finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 4, "
-             "width: 128}");
+  EXPECT_HAS(write_config_inline(compose_config(path, {"passes.0.field.depth=4"})), like_fine("finest", 4));
 }
 
 TEST(Like, NamesAPassThatComesFirst) {
@@ -462,9 +458,7 @@ std::string errors_of(const std::string& yaml, Sample* out = nullptr) {
   Diagnostics diagnostics;
   read_params(parse_config_text(yaml, "room.yaml"), "encoder", describer(sample), diagnostics, {"type"});
   if (out != nullptr) *out = sample;
-  std::string text;
-  for (const Diagnostic& finding : diagnostics.all()) text += (text.empty() ? "" : "\n") + finding.text();
-  return text;
+  return texts(diagnostics);
 }
 
 TEST(ParamsRead, TakesEveryType) {
@@ -553,11 +547,7 @@ TEST(ParamsRead, UnknownKeysAndAllErrorsAtOnce) {
 }
 
 TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
-  Sample p;
-  p.growth = 0.1 + 0.2 + 1.0;
-  p.rate = 1e-5f;
-  p.seed = std::numeric_limits<std::int64_t>::max();
-  p.root = "010";
+  Sample p{.seed = std::numeric_limits<std::int64_t>::max(), .growth = 0.1 + 0.2 + 1.0, .rate = 1e-5f, .root = "010"};
   p.interpolation = Interp::smoothstep;
   p.betas = {5e-324, 0.1, 1.0};
   p.files = {"true", "a: b", "größe", ""};
@@ -567,12 +557,8 @@ TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
   EXPECT_HAS(yaml, "root: \"010\"\n");  // other YAML readers must see a text, too
   EXPECT_HAS(yaml, "files: [\"true\", \"a: b\", ");
   EXPECT_EQ(write_config(params_to_config(describer(q))), yaml);
-  EXPECT_EQ(q.growth, p.growth);
-  EXPECT_EQ(q.rate, p.rate);
-  EXPECT_EQ(q.seed, p.seed);
-  EXPECT_EQ(q.betas, p.betas);
-  EXPECT_EQ(q.files, p.files);
-  EXPECT_EQ(q.root, p.root);
+  EXPECT_EQ(std::tie(q.growth, q.rate, q.seed), std::tie(p.growth, p.rate, p.seed));
+  EXPECT_EQ(std::tie(q.betas, q.files, q.root), std::tie(p.betas, p.files, p.root));
   EXPECT_EQ(
       write_config(params_to_config(describer(*std::make_unique<Sample>()))),
       "levels: 16\nseed: 1\nsmall: 3\ngrowth: 1.5\nrate: 0.25\ndense: false\nroot: data/room\ninterpolation: linear\n"
@@ -656,18 +642,15 @@ std::vector<ParamDoc> docs_of() {
 }
 
 json schema() {
+  const SchemaSection grid{"grid", "", docs_of<GridParams>()}, hash_grid{"hash_grid", "", docs_of<GridParams>()};
   return json::parse(json_schema_of(
       "test", {{"train", "how long", docs_of<RootParams>()},
                {"train.grid", "", docs_of<GridParams>()},
                {"scene.labels", "", docs_of<RootParams>()},
-               {"scene",
-                "the dataset",
-                {},
-                false,
-                {{"replica", "Rendered rooms", docs_of<RootParams>()}, {"grid", "", docs_of<GridParams>()}}},
-               {"passes[].encoder", "", {}, false, {{"hash_grid", "", docs_of<GridParams>()}}},
+               {"scene", "the dataset", {}, false, {{"replica", "Rendered rooms", docs_of<RootParams>()}, grid}},
+               {"passes[].encoder", "", {}, false, {hash_grid}},
                {"passes[].branch", "", {}, true},
-               {"passes[].branch.encoder", "", {}, false, {{"hash_grid", "", docs_of<GridParams>()}}}}));
+               {"passes[].branch.encoder", "", {}, false, {hash_grid}}}));
 }
 
 bool has_type(const json& value, const std::string& type) {
@@ -741,30 +724,20 @@ TEST(Schema, TakesWhatTheReadersTake) {
 
 TEST(Schema, RefusesWhatTheReadersRefuse) {
   const json rule = schema();
-  for (const char* text : {R"([])",
-                           R"({"trian": {}})",
-                           R"({"include": 3})",
-                           R"({"train": {"rooot": "x"}})",
-                           R"({"train": {"dense": "no"}})",
-                           R"({"train": {"files": "a"}})",
-                           R"({"train": {"grid": {"levels": 33}}})",
-                           R"({"train": {"grid": {"levels": 0}}})",
-                           R"({"train": {"grid": {"levels": 1.5}}})",
-                           R"({"train": {"grid": {"growth": 0.5}}})",
-                           R"({"train": {"grid": {"mode": "cubic"}}})",
-                           R"({"train": {"grid": {"betas": [2]}}})",
-                           R"({"train": {"grid": {"betas": 0.5}}})",
-                           R"({"scene": {"type": "replika"}})",
-                           R"({"scene": {"type": "replica", "levels": 2}})",
-                           R"({"scene": {"type": "grid", "labels": {"x": 1}}})",
-                           R"({"scene": {"nothing": 1}})",
-                           R"({"passes": {}})",
-                           R"({"passes": [{"encoder": {"type": "hash_grid", "n": 4}}]})",
-                           R"({"passes": [{"branch": [{"encodr": {}}]}]})",
-                           R"({"passes": [{"branch": {"encoder": {"type": "hash_grid", "n": 4}}}]})",
-                           R"({"passes": [{"encodr": {}}]})"}) {
+  for (const char* text : {R"([])", R"({"trian": {}})", R"({"include": 3})", R"({"scene": {"nothing": 1}})",
+                           R"({"passes": {}})", R"({"passes": [{"encodr": {}}]})"})
     EXPECT_FALSE(valid(json::parse(text), rule)) << text;
-  }
+  for (const std::string train : {R"("rooot": "x")", R"("dense": "no")", R"("files": "a")"})
+    EXPECT_FALSE(valid(json::parse("{\"train\": {" + train + "}}"), rule)) << train;
+  for (const std::string grid : {R"("levels": 33)", R"("levels": 0)", R"("levels": 1.5)", R"("growth": 0.5)",
+                                 R"("mode": "cubic")", R"("betas": [2])", R"("betas": 0.5)"})
+    EXPECT_FALSE(valid(json::parse("{\"train\": {\"grid\": {" + grid + "}}}"), rule)) << grid;
+  for (const std::string scene : {R"("replika")", R"("replica", "levels": 2)", R"("grid", "labels": {"x": 1})"})
+    EXPECT_FALSE(valid(json::parse("{\"scene\": {\"type\": " + scene + "}}"), rule)) << scene;
+  const std::string encoder = R"({"encoder": {"type": "hash_grid", "n": 4}})";
+  for (const std::string& pass :
+       {encoder, "{\"branch\": " + encoder + "}", std::string(R"({"branch": [{"encodr": {}}]})")})
+    EXPECT_FALSE(valid(json::parse("{\"passes\": [" + pass + "]}"), rule)) << pass;
 }
 
 TEST(Schema, RefusesDescriptionsThatMakeNoSense) {
@@ -817,21 +790,10 @@ TEST(Explain, EveryValueWithItsOrigin) {
   const std::string room =
       folder.write("room.yaml", "include: base.yaml\ntrain:\n  rate: 0.1\npasses:\n  - name: größe\n");
   const std::string text = explain_config(compose_config(room, {"train.steps=20", "train.betas.1=0.99"}));
-  EXPECT_EQ(text,
-            "train:\n"
-            "  steps: 20           # --set train.steps=20\n"
-            "  betas: [0.9, 0.99]  # " +
-                base +
-                ":3:10, --set train.betas.1=0.99\n"
-                "  rate: 0.1           # " +
-                room +
-                ":3:9\n"
-                "labels: {}            # " +
-                base +
-                ":4:9\n"
-                "passes:\n"
-                "  - name: \"größe\"     # " +
-                room + ":5:11\n");
+  EXPECT_EQ(text, "train:\n  steps: 20           # --set train.steps=20\n  betas: [0.9, 0.99]  # " + base +
+                      ":3:10, --set train.betas.1=0.99\n  rate: 0.1           # " + room +
+                      ":3:9\nlabels: {}            # " + base + ":4:9\npasses:\n  - name: \"größe\"     # " + room +
+                      ":5:11\n");
   EXPECT_TRUE(
       equal_config(parse_config_text(text, "again"), compose_config(room, {"train.steps=20", "train.betas.1=0.99"})));
 }
