@@ -72,6 +72,11 @@ void apply_all(Annotations& annotations, const std::vector<LabelEvent>& events) 
   for (const LabelEvent& event : events) EXPECT_TRUE(annotations.apply(event)) << event.id;
 }
 
+std::string ids_after(Annotations& annotations, const std::vector<LabelEvent>& events) {
+  apply_all(annotations, events);
+  return ids(annotations.marks());
+}
+
 // Refused, and nothing has changed.
 std::string refusal(Annotations& annotations, const LabelEvent& event) {
   const std::string classes = annotations.classes().to_yaml(), marks = ids(annotations.marks());
@@ -158,13 +163,10 @@ TEST(Annotations, UndoAndItsUndoGiveTheSamePaintingInTheOldOrder) {
   Annotations annotations(scene_of(room_table()), 0);
   apply_all(annotations, {click("1", "chair", {3.5, 2.5}, 1.5), click("2", "table", {3.5, 2.5}, 1.5)});
   const Rows both = painted(annotations);
-  annotations.apply(undo("3", "1"));
-  EXPECT_EQ(ids(annotations.marks()), "2 ");
-  annotations.apply(undo("4", "3"));
-  EXPECT_EQ(ids(annotations.marks()), "1 2 ");
+  EXPECT_EQ(ids_after(annotations, {undo("3", "1")}), "2 ");
+  EXPECT_EQ(ids_after(annotations, {undo("4", "3")}), "1 2 ");
   EXPECT_EQ(painted(annotations), both);
-  annotations.apply(undo("5", "4"));
-  EXPECT_EQ(ids(annotations.marks()), "2 ");
+  EXPECT_EQ(ids_after(annotations, {undo("5", "4")}), "2 ");
   annotations.apply(undo("6", "5"));
   EXPECT_EQ(painted(annotations), both);
   EXPECT_HAS(refusal(annotations, undo("7", "3")), "event '7':", "undone already");
@@ -180,10 +182,7 @@ TEST(Annotations, AClassThatClicksUseStaysUntilTheyAreUndone) {
   apply_all(annotations, {undo("5", "3"), undo("6", "1")});
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=unnamed 1 2=lamp 3=unnamed 3 ");
   EXPECT_EQ(annotations.named_classes(), 2);
-  EXPECT_FALSE(annotations.is_named(0));
-  EXPECT_TRUE(annotations.is_named(1));
-  EXPECT_FALSE(annotations.is_named(2));
-  EXPECT_FALSE(annotations.is_named(-1));
+  for (const int index : {-1, 0, 1, 2}) EXPECT_EQ(annotations.is_named(index), index == 1) << index;
   EXPECT_EQ(names_of_table(annotations.named_table()), "0-void 2=lamp ");
   EXPECT_HAS(refusal(annotations, undo("7", "5")), "event '7':", "chair", "is undone");
   EXPECT_HAS(refusal(annotations, click("7", "chair", {1, 1})), "event '7':", "chair", "no class");
@@ -215,8 +214,7 @@ TEST(Annotations, AnUndoneClassGivesItsPlaceUpOnceEveryPlaceHasHadAName) {
   EXPECT_EQ(names_of_table(replay(scene_of(), 0, events, "log").named_table()), "0-void 2=light 3=table ");
   apply_all(annotations, {undo("8", "7"), undo("9", "6"), undo("10", "4")});
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair 2=light ");
-  annotations.apply(undo("11", "3"));
-  EXPECT_EQ(ids(annotations.marks()), "2 ");
+  EXPECT_EQ(ids_after(annotations, {undo("11", "3")}), "2 ");
 }
 
 TEST(Annotations, ARenamingStaysWithItsClassWhenThePlaceIsGivenAway) {
@@ -262,16 +260,14 @@ TEST(Annotations, ARenamedClassKeepsItsPlaceAndItsClicks) {
 TEST(Annotations, NamesAreOnce) {
   Annotations annotations(scene_of(room_table()), 6);
   annotations.apply(add("1", "sofa"));
-  for (const char* taken : {"chair", "sofa", "void"}) {
-    EXPECT_EQ(refusal(annotations, add("2", taken)),
-              std::string("event '2': there is a class '") + taken + "' already; choose another name");
-    EXPECT_EQ(refusal(annotations, taken == std::string("sofa") ? add("2", taken) : rename("2", "sofa", taken)),
-              std::string("event '2': there is a class '") + taken + "' already; choose another name");
+  for (const std::string taken : {"chair", "sofa", "void"}) {
+    const std::string said = "event '2': there is a class '" + taken + "' already; choose another name";
+    EXPECT_EQ(refusal(annotations, add("2", taken)), said);
+    EXPECT_EQ(refusal(annotations, taken == "sofa" ? add("2", taken) : rename("2", "sofa", taken)), said);
   }
-  for (const char* name : {"Unlabelled", "unnamed 77"})
-    EXPECT_EQ(refusal(annotations, add("2", name)), std::string("event '2': '") + name +
-                                                        "' stands for pixels and classes without a name; choose "
-                                                        "another name");
+  for (const std::string name : {"Unlabelled", "unnamed 77"})
+    EXPECT_EQ(refusal(annotations, add("2", name)),
+              "event '2': '" + name + "' stands for pixels and classes without a name; choose another name");
   EXPECT_HAS(refusal(annotations, rename("2", "void", "nothing")), "event '2':", "void", "a class");
   EXPECT_EQ(refusal(annotations, rename("2", "soffa", "x")), "event '2': no class 'soffa'; did you mean 'sofa'?");
 }
@@ -360,13 +356,9 @@ std::string click_with(const std::string& from, const std::string& to) {
 
 TEST(LabelEvent, EveryKindIsReadAndWritten) {
   using K = LabelEventKind;
-  const LabelEvent click{.id = "a1-17",
-                         .frame = "rgb_12",
-                         .width_px = 320,
-                         .height_px = 240,
-                         .points = {{12.5, 33}},
-                         .radius_px = 4,
-                         .class_name = "chair"};
+  LabelEvent click = semfield::click("a1-17", "chair", {12.5, 33}, 4, "rgb_12");
+  click.width_px = 320;
+  click.height_px = 240;
   LabelEvent outline = click, another = click;
   outline.points = {{1, 1}, {9, 1}, {9, 5}};
   outline.radius_px = 0;
@@ -483,6 +475,11 @@ std::string classes_of(const Annotations& annotations) {
   return out;
 }
 
+std::string classes_after(Annotations& annotations, const std::vector<LabelEvent>& events) {
+  apply_all(annotations, events);
+  return classes_of(annotations);
+}
+
 // chair, stool and lamp with a click each: c, s, l.
 Annotations three_classes() {
   Annotations annotations(scene_of(), 5);
@@ -493,72 +490,60 @@ Annotations three_classes() {
 
 TEST(ClassEvents, AMergedClassGivesItsClicksToTheOther) {
   Annotations annotations = three_classes();
-  EXPECT_TRUE(annotations.apply(merge("m", "stool", "chair")));
-  EXPECT_EQ(classes_of(annotations), "c=chair s=chair l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {merge("m", "stool", "chair")}), "c=chair s=chair l=lamp ");
   EXPECT_EQ(names_of_table(annotations.named_table()), "0-void 1=chair 3=lamp ");
   EXPECT_EQ(painted(annotations)[3], "...0....");
   EXPECT_HAS(refusal(annotations, click("x", "stool", {1, 1})), "event 'x':", "stool", "chair");
   EXPECT_HAS(refusal(annotations, undo("x", "add_stool")), "event 'x':", "stool", "deleted since");
   EXPECT_HAS(refusal(annotations, undo("x", "add_chair")), "event 'x':", "chair", "deleted since");
-  annotations.apply(undo("u", "m"));
-  EXPECT_EQ(classes_of(annotations), "c=chair s=stool l=lamp ");
-  annotations.apply(undo("v", "u"));
-  EXPECT_EQ(classes_of(annotations), "c=chair s=chair l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {undo("u", "m")}), "c=chair s=stool l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {undo("v", "u")}), "c=chair s=chair l=lamp ");
   // A click that is undone and done again follows its class.
-  annotations.apply(undo("w", "s"));
-  EXPECT_EQ(classes_of(annotations), "c=chair l=lamp ");
-  annotations.apply(undo("y", "w"));
-  EXPECT_EQ(classes_of(annotations), "c=chair s=chair l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {undo("w", "s")}), "c=chair l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {undo("y", "w")}), "c=chair s=chair l=lamp ");
 }
 
 TEST(ClassEvents, ADeletedClassTakesItsClicksAndGivesThemBack) {
   Annotations annotations = three_classes();
-  EXPECT_TRUE(annotations.apply(remove_class("d", "stool")));
-  EXPECT_EQ(classes_of(annotations), "c=chair l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {remove_class("d", "stool")}), "c=chair l=lamp ");
   EXPECT_FALSE(annotations.is_named(1));
   EXPECT_EQ(refusal(annotations, click("x", "stool", {1, 1})), "event 'x': no class 'stool' any more; it was deleted");
   annotations.apply(undo("u", "s"));  // takes nothing from the list, and counts when the class is back
-  apply_all(annotations, {click("s2", "lamp", {2, 2}), undo("v", "d")});
-  EXPECT_EQ(classes_of(annotations), "c=chair l=lamp s2=lamp ");
+  EXPECT_EQ(classes_after(annotations, {click("s2", "lamp", {2, 2}), undo("v", "d")}), "c=chair l=lamp s2=lamp ");
   annotations.apply(undo("w", "v"));
   EXPECT_HAS(refusal(annotations, undo("x", "u")), "event 'x':", "stool", "is deleted");
-  apply_all(annotations, {undo("y", "w"), undo("z", "u")});
-  EXPECT_EQ(classes_of(annotations), "c=chair s=stool l=lamp s2=lamp ");
+  EXPECT_EQ(classes_after(annotations, {undo("y", "w"), undo("z", "u")}), "c=chair s=stool l=lamp s2=lamp ");
 }
 
 TEST(ClassEvents, MergesFollowEachOther) {
   Annotations annotations = three_classes();
-  apply_all(annotations, {merge("m1", "stool", "chair"), merge("m2", "chair", "lamp")});
-  EXPECT_EQ(classes_of(annotations), "c=lamp s=lamp l=lamp ");
-  annotations.apply(remove_class("d", "lamp"));
-  EXPECT_EQ(classes_of(annotations), "");
+  EXPECT_EQ(classes_after(annotations, {merge("m1", "stool", "chair"), merge("m2", "chair", "lamp")}),
+            "c=lamp s=lamp l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {remove_class("d", "lamp")}), "");
   EXPECT_EQ(refusal(annotations, remove_class("x", "lamp")), "event 'x': no class 'lamp' any more; it was deleted");
-  annotations.apply(undo("u1", "m1"));  // the stool's clicks are its own again
-  EXPECT_EQ(classes_of(annotations), "s=stool ");
+  EXPECT_EQ(classes_after(annotations, {undo("u1", "m1")}), "s=stool ") << "the stool's clicks are its own again";
   EXPECT_HAS(refusal(annotations, undo("x", "u1")), "event 'x':", "chair", "longer there");
-  annotations.apply(undo("u2", "d"));
-  EXPECT_EQ(classes_of(annotations), "c=lamp s=stool l=lamp ");
+  EXPECT_EQ(classes_after(annotations, {undo("u2", "d")}), "c=lamp s=stool l=lamp ");
 }
 
 TEST(ClassEvents, ANameThatWasGivenAnewStaysWhereItIs) {
   Annotations annotations = three_classes();
-  apply_all(annotations, {remove_class("d", "stool"), add("again", "stool"), click("t", "stool", {7, 5})});
-  EXPECT_EQ(classes_of(annotations), "c=chair l=lamp t=stool ");
+  EXPECT_EQ(
+      classes_after(annotations, {remove_class("d", "stool"), add("again", "stool"), click("t", "stool", {7, 5})}),
+      "c=chair l=lamp t=stool ");
   EXPECT_HAS(refusal(annotations, undo("x", "d")), "event 'x':", "stool", "already");
-  apply_all(annotations, {rename("r", "stool", "bench"), undo("u", "d")});
-  EXPECT_EQ(classes_of(annotations), "c=chair s=stool l=lamp t=bench ");
+  EXPECT_EQ(classes_after(annotations, {rename("r", "stool", "bench"), undo("u", "d")}),
+            "c=chair s=stool l=lamp t=bench ");
 }
 
 TEST(ClassEvents, APlaceThatWasGivenAwayDoesNotComeBack) {
   Annotations annotations(scene_of(), 2);
   apply_all(annotations,
             {add("1", "chair"), add("2", "stool"), click("3", "stool", {1, 1}), merge("4", "stool", "chair")});
-  annotations.apply(add("5", "lamp"));  // where the stool was
-  annotations.apply(click("6", "lamp", {2, 2}));
-  EXPECT_EQ(classes_of(annotations), "3=chair 6=lamp ");
+  EXPECT_EQ(classes_after(annotations, {add("5", "lamp"), click("6", "lamp", {2, 2})}), "3=chair 6=lamp ")
+      << "where the stool was";
   EXPECT_HAS(refusal(annotations, undo("x", "4")), "event 'x':", "stool", "lamp");
-  apply_all(annotations, {undo("7", "6"), undo("8", "5"), undo("9", "4")});
-  EXPECT_EQ(classes_of(annotations), "3=stool ");
+  EXPECT_EQ(classes_after(annotations, {undo("7", "6"), undo("8", "5"), undo("9", "4")}), "3=stool ");
 }
 
 TEST(ClassEvents, WhatCannotBeMergedOrDeletedIsRefused) {
@@ -571,8 +556,7 @@ TEST(ClassEvents, WhatCannotBeMergedOrDeletedIsRefused) {
   EXPECT_EQ(refusal(annotations, remove_class("x", "void")), "event 'x': 'void' stands for pixels without a class");
   EXPECT_EQ(refusal(annotations, merge("x", "stol", "wall")), "event 'x': no class 'stol'; did you mean 'stool'?");
   EXPECT_EQ(refusal(annotations, merge("x", "stool", "wal")), "event 'x': no class 'wal'; did you mean 'wall'?");
-  apply_all(annotations, {click("2", "stool", {1, 1}), merge("3", "stool", "wall")});
-  EXPECT_EQ(classes_of(annotations), "2=wall ");
+  EXPECT_EQ(classes_after(annotations, {click("2", "stool", {1, 1}), merge("3", "stool", "wall")}), "2=wall ");
 }
 
 TEST(ClassEvents, AFilledOutlineIsItsInside) {
@@ -718,29 +702,28 @@ std::string event_ids(const std::vector<LabelEvent>& events) {
 }
 
 // The log of a folder of its own, with one event.
-struct OneEvent {
+struct ClickLogOfOne : testing::Test {
   const std::string folder = fresh_folder("click_log_test"), path = folder + "/clicks.jsonl";
   Diagnostics diagnostics;
   ClickLog log = ClickLog::open(path, diagnostics);
-  OneEvent() {
+  ClickLogOfOne() {
     EXPECT_TRUE(std::filesystem::exists(path) && log.events().empty());
     log.append(undo("1", "x"));
   }
 };
 
-TEST(ClickLog, KeepsWhatIsAppended) {
-  OneEvent c;
-  EXPECT_EQ(read_text_file(c.path), line("1"));
+TEST_F(ClickLogOfOne, KeepsWhatIsAppended) {
+  EXPECT_EQ(read_text_file(path), line("1"));
   {
-    ClickLog moved = std::move(c.log);
+    ClickLog moved = std::move(log);
     moved.append(undo("2", "x"));
     EXPECT_EQ(event_ids(moved.events()), "1 2 ");
   }
-  ClickLog again = ClickLog::open(c.path, c.diagnostics);
+  ClickLog again = ClickLog::open(path, diagnostics);
   again.append(undo("3", "2"));
   EXPECT_EQ(event_ids(again.events()), "1 2 3 ");
-  EXPECT_EQ(read_click_log(c.path, c.diagnostics), again.events());
-  EXPECT_EQ(all_said(c.diagnostics), "");
+  EXPECT_EQ(read_click_log(path, diagnostics), again.events());
+  EXPECT_EQ(all_said(diagnostics), "");
 }
 
 TEST(ClickLog, CutsATornLineAndSaysSo) {
@@ -781,9 +764,7 @@ TEST(ClickLog, RefusesOtherBadLinesAndChangesNothing) {
   }
 }
 
-TEST(ClickLog, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
-  OneEvent c;
-  auto& [folder, path, diagnostics, log] = c;
+TEST_F(ClickLogOfOne, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
   const auto handler = std::signal(SIGXFSZ, SIG_IGN);
@@ -800,9 +781,7 @@ TEST(ClickLog, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
   EXPECT_EQ(event_ids(log.events()), "1 3 ");
 }
 
-TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
-  OneEvent c;
-  auto& [folder, path, diagnostics, log] = c;
+TEST_F(ClickLogOfOne, ASecondWriterIsRefusedAndTold) {
   std::filesystem::create_symlink(path, folder + "/link.jsonl");
   for (const std::string& name : {path, folder + "/link.jsonl", folder + "/./clicks.jsonl"}) {
     const std::string error = error_of([&] { (void)ClickLog::open(name, diagnostics); });
@@ -817,9 +796,7 @@ TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
 }
 
 // A program that takes no lock: its lines stay, and nothing is appended behind them or cut off with them.
-TEST(ClickLog, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
-  OneEvent c;
-  auto& [folder, path, diagnostics, log] = c;
+TEST_F(ClickLogOfOne, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
   for (const std::string& theirs : {line("1") + line("2"), line("1").substr(4), std::string()}) {
     testing_room::plain_write(path, theirs);
     const std::string error = error_of([&] { log.append(undo("3", "x")); });
@@ -836,19 +813,13 @@ TEST(ClickLog, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
 
 // `scene.labels.from: {type: clicks}` of a log of label events, and scene.labels.clicks and .class_room over labels.
 
-const std::string kLog =
-    R"({"id":"1","type":"class","name":"lamp","color":[1,2,3]})"
-    "\n"
-    R"({"id":"2","type":"click","frame":"a","size":[8,6],"points":[[1,1]],"radius":0,"class":"lamp"})"
-    "\n"
-    R"({"id":"3","type":"click","frame":"a","size":[4,3],"points":[[2.5,1.5]],"radius":1,"class":"lamp"})"
-    "\n"
-    R"({"id":"4","type":"rename","class":"lamp","name":"light"})"
-    "\n"
-    R"({"id":"5","type":"click","frame":"b","size":[4,3],"points":[[0,0]],"radius":0,"class":"light"})"
-    "\n"
-    R"({"id":"6","type":"undo","of":"5"})"
-    "\n";
+const std::string kLog = R"({"id":"1","type":"class","name":"lamp","color":[1,2,3]}
+{"id":"2","type":"click","frame":"a","size":[8,6],"points":[[1,1]],"radius":0,"class":"lamp"}
+{"id":"3","type":"click","frame":"a","size":[4,3],"points":[[2.5,1.5]],"radius":1,"class":"lamp"}
+{"id":"4","type":"rename","class":"lamp","name":"light"}
+{"id":"5","type":"click","frame":"b","size":[4,3],"points":[[0,0]],"radius":0,"class":"light"}
+{"id":"6","type":"undo","of":"5"}
+)";
 
 std::string log_file(const std::string& text, const std::string& name = "clicks.jsonl") {
   const std::string path = fresh_folder("click_reader") + "/" + name;

@@ -27,12 +27,11 @@ struct Case {
            const std::vector<std::int32_t>& instance = {}, const std::vector<float>& depth_m = {}) {
     FrameBuffer buffer{
         .width_px = width, .height_px = height, .depth_m = depth_m, .label = label, .instance = instance};
-    FrameInfo info;
+    FrameInfo& info = scene.info.frames.emplace_back();
     info.name = "rgb_" + std::to_string(scene.frames.size());
     info.has_labels = true;
     info.has_instances = !instance.empty();
     info.has_depth = !depth_m.empty();
-    scene.info.frames.push_back(info);
     std::vector<std::int64_t> counts(static_cast<std::size_t>(scene.info.classes.valid_count()) + 1);
     for (const std::int16_t c : label) ++counts[c == kVoid ? counts.size() - 1 : static_cast<std::size_t>(c)];
     scene.class_pixels.push_back(counts);
@@ -212,12 +211,9 @@ TEST(RegionNoise, TheWholeMaskGetsOneOtherClassAndNothingElseChanges) {
 }
 
 TEST(RegionNoise, InstancesAreChosenByClassAndNumberOfFrames) {
-  Case c = instances();
-  EXPECT_EQ(fact(c.apply(*step("region_noise", "{min_frames: 1}")), "instances chosen"), "5, 9");
-  c = instances();
-  EXPECT_EQ(fact(c.apply(*step("region_noise", "{min_frames: 3}")), "instances chosen"), "5");
-  c = instances();
-  EXPECT_EQ(fact(c.apply(*step("region_noise", "{classes: [class_2]}")), "instances chosen"), "9");
+  for (const auto& [keys, chosen] :
+       {std::pair{"{min_frames: 1}", "5, 9"}, {"{min_frames: 3}", "5"}, {"{classes: [class_2]}", "9"}})
+    EXPECT_EQ(fact(instances().apply(*step("region_noise", keys)), "instances chosen"), chosen);
 }
 
 TEST(RegionNoise, RefusalsAreExact) {
