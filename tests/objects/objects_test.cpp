@@ -88,9 +88,7 @@ TEST(ClickObjects, PiecesThatDoNotTouchAreObjectsOfTheirOwn) {
 
 TEST(ClickObjects, NumbersTellTouchingThingsApartAndJoinPieces) {
   const Row row("wcccccccc.cw");
-  EXPECT_EQ(row.objects({{2, kChair, 0}, {7, kChair, 0}}),
-            "01111111"
-            "1.00");
+  EXPECT_EQ(row.objects({{2, kChair, 0}, {7, kChair, 0}}), "011111111.00");
   EXPECT_EQ(row.objects({{2, kChair, 1}, {7, kChair, 2}}),
             "01111222"
             "2.00")
@@ -99,9 +97,7 @@ TEST(ClickObjects, NumbersTellTouchingThingsApartAndJoinPieces) {
             "01111222"
             "2.00")
       << "another chair than the first";
-  EXPECT_EQ(row.objects({{2, kChair, 3}, {10, kChair, 3}}),
-            "01111111"
-            "1.10");
+  EXPECT_EQ(row.objects({{2, kChair, 3}, {10, kChair, 3}}), "011111111.10");
 }
 
 TEST(ClickObjects, StuffAndVoidAreNoObjectsAndHoldObjectsBack) {
@@ -178,13 +174,13 @@ TEST(ClickObjects, WhatIsWrongIsNamed) {
   const auto read = [&](const std::string& text) {
     return segments_of_clicks(dir.write("clicks.jsonl", text), room_info(), diagnostics);
   };
-  EXPECT_ERROR(read(R"({"id":"n","type":"class","name":"chair"})"
-                    "\n"),
-               "labels.clicks.empty", "clicks.jsonl");
-  EXPECT_ERROR(read(R"({"id":"n","type":"class","name":"piano"}
-{"id":"a","type":"click","frame":"a","size":[16,8],"points":[[3,1]],"radius":2,"class":"piano"}
-)"),
-               "labels.class.unknown", "clicks.jsonl", "piano");
+  const std::string only_a_class = R"({"id":"n","type":"class","name":"piano"})"
+                                   "\n";
+  EXPECT_ERROR(read(only_a_class), "labels.clicks.empty", "clicks.jsonl");
+  EXPECT_ERROR(
+      read(only_a_class + R"({"id":"a","type":"click","frame":"a","size":[16,8],"points":[[3,1]],"radius":2,)" +
+           "\"class\":\"piano\"}\n"),
+      "labels.class.unknown", "clicks.jsonl", "piano");
 }
 
 // Groups of points by clusters of segments and by what views say.
