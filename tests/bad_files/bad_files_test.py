@@ -24,6 +24,14 @@ sys.path.insert(0, str(HERE.resolve().parent))
 from program import crc32c, png_bytes, png_file  # noqa: E402
 
 TABLE, PROGRAM, MISSING = sys.argv[1], pathlib.Path(sys.argv[2]).resolve(), sys.argv[3:]
+# A network for configurations that include it.
+SMALL = """passes:
+  - name: main
+    sampler: {type: stratified, samples: 8}
+    position: {type: frequency, frequencies: 2}
+    field: {type: nerf_mlp, depth: 2, width: 16, skip_at: 0}
+train: {steps: 2, rays: 8}
+"""
 
 
 class Case:
@@ -43,6 +51,12 @@ def unescaped(text):
         parts += [text[last:at.start()].encode(), plain(at)]
         last = at.end()
     return b"".join(parts) + text[last:].encode()
+
+
+def named(files):
+    """a{b,c}d is abd and acd."""
+    at = re.fullmatch(r"(.*)\{(.*)\}(.*)", files)
+    return [at[1] + one + at[3] for one in at[2].split(",")] if at else [files]
 
 
 def read_cases(path):
@@ -70,7 +84,7 @@ def read_cases(path):
             assert in_case, f"{place}: '{verb}' before any case"
             file, _, what = rest.partition(" ")
             for one in cases[first:]:
-                one.files.append((verb, file, unescaped(what)))
+                one.files += [(verb, name, unescaped(what)) for name in named(file)]
         elif verb in ("run", "within", "writes_within", "says", "never", "and"):
             assert in_case or verb == "run", f"{place}: '{verb}' before any case"
             for one in cases[first:] if in_case else [now]:
@@ -93,14 +107,15 @@ def read_cases(path):
                     if inner == ">>":
                         break
                     text += inner + "\n"
-                now.edits.append((place, verb, [file, text.encode()]))
+                words = [text.encode()]
             elif verb == "replace":
                 old, arrow, new = what.partition(" => ")
                 if not arrow:
                     old = what.removesuffix(" =>")
-                now.edits.append((place, verb, [file, unescaped(old), unescaped(new)]))
+                words = [unescaped(old), unescaped(new)]
             else:
-                now.edits.append((place, verb, [file, unescaped(what)]))
+                words = [unescaped(what)]
+            now.edits += [(place, verb, [name, *words]) for name in named(file)]
     return bases, cases
 
 
@@ -290,7 +305,11 @@ def made_base(name, bases, folder):
     """The folder of a base, made when its first case asks for it."""
     made, base = folder / f"base_{name}", bases[name]
     if not made.exists():
-        made.mkdir() if not base.base else shutil.copytree(made_base(base.base, bases, folder), made, symlinks=True)
+        if base.base:
+            shutil.copytree(made_base(base.base, bases, folder), made, symlinks=True)
+        else:
+            made.mkdir()
+            (made / "small.yaml").write_text(SMALL)
         for edit in base.edits:
             apply(edit, made)
     return made
