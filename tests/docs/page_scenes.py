@@ -3,13 +3,15 @@ import argparse
 import json
 import math
 import os
+import pathlib
 import shutil
-import struct
 import subprocess
 import sys
-import zlib
 
 REPOSITORY = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+sys.path.insert(0, os.path.join(REPOSITORY, "tests"))
+from program import png  # noqa: E402
+
 FRAMES, WIDTH, HEIGHT = 16, 80, 60
 
 
@@ -22,16 +24,6 @@ def write(folder, name, text):
 
 def rows(pose):
     return "".join(" ".join(repr(v) for v in row) + "\n" for row in pose)
-
-
-def write_png(path, width, height, pixels):
-    """8 bits, RGB."""
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-    raw = b"".join(b"\0" + pixels[y * width * 3:(y + 1) * width * 3] for y in range(height))
-    with open(path, "wb") as file:
-        file.write(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)) +
-                   chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b""))
 
 
 def poses_of(folder):
@@ -97,14 +89,14 @@ def ball(folder, splits):
     size, frames = 80, 12
     centre = (size - 1) / 2
     inside = [[(x - centre) ** 2 + (y - centre) ** 2 < 400 for x in range(size)] for y in range(size)]
-    pixels = b"".join(bytes((200, 30 + y, 30)) if inside[y][x] else b"\xff\xff\xff" for y in range(size) for x in range(size))
+    picture = [b"".join(bytes((200, 30 + y, 30)) if within else b"\xff\xff\xff" for within in inside[y]) for y in range(size)]
     for split in splits:
         listed = []
         os.makedirs(os.path.join(folder, split), exist_ok=True)
         for i in range(frames):
             a = 2 * math.pi * i / frames + (0.2 if split == "test" else 0)
             pose = [[-math.sin(a), 0, math.cos(a), 3 * math.cos(a)], [math.cos(a), 0, math.sin(a), 3 * math.sin(a)], [0, 1, 0, 0], [0, 0, 0, 1]]
-            write_png(os.path.join(folder, split, f"r_{i}.png"), size, size, pixels)
+            png(pathlib.Path(folder, split, f"r_{i}.png"), size, size, 2, 8, picture)
             listed.append({"file_path": f"{split}/r_{i}.png", "transform_matrix": pose})
         name = f"transforms_{split}.json" if len(splits) > 1 else "transforms.json"
         write(folder, name, json.dumps({"camera_angle_x": 0.7, "frames": listed}))
