@@ -71,10 +71,6 @@ void expect_same_bits(const Trained& a, const Trained& b, const std::string& wha
   EXPECT_EQ(a.bits, b.bits) << what;
 }
 
-std::string with_rays(std::string yaml, int rays) {
-  const std::size_t at = yaml.find("rays: ", yaml.find("train: {")), end = yaml.find_first_of(",}", at);
-  return yaml.replace(at, end - at, "rays: " + std::to_string(rays));
-}
 // The batches of some steps with what came of them; gradients are those of the first: its first moment is (1 - beta1)
 // times the gradient.
 struct Steps {

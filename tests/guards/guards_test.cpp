@@ -40,6 +40,18 @@ Poison& poison() {
   return the_poison;
 }
 
+void arm(const std::string& stage, const std::string& pass, float value, bool in_training = true) {
+  Poison& p = poison();
+  p.stage = stage;
+  p.pass = pass;
+  p.value = value;
+  p.in_training = in_training;
+}
+void aim_along(const double* o, const double* d) {
+  poison().origin = {o[0], o[1], o[2]};
+  poison().direction = {d[0], d[1], d[2]};
+}
+
 bool armed(const char* stage, const StepContext& ctx) {
   const Poison& p = poison();
   return p.stage == stage && ctx.training == p.in_training;
@@ -226,10 +238,8 @@ struct Subject {
     trainer->rays().fill(trainer->step(), batch);
     const double* o = batch.origin.data() + 3 * row;
     const double* d = batch.direction.data() + 3 * row;
-    Poison& p = poison();
-    p.ray = row;
-    p.origin = {o[0], o[1], o[2]};
-    p.direction = {d[0], d[1], d[2]};
+    poison().ray = row;
+    aim_along(o, d);
     for (const int f : session.scene.frames_of(Split::train)) {
       const FrameInfo& info = session.scene.info.frames[f];
       for (std::int32_t i = 0; i < info.camera.width_px * info.camera.height_px; ++i) {
@@ -273,11 +283,7 @@ void expect_caught(Subject& subject, const std::string& site, const std::vector<
 
 // A bad number in every tensor of a run and in every stage of a pass: each is named.
 
-std::string with_rays(std::string yaml, const std::string& rays) {
-  const std::size_t at = yaml.find("rays: ") + 6;
-  return yaml.replace(at, yaml.find_first_of(",}", at) - at, rays);
-}
-std::string small(const std::string& yaml) { return with_rays(yaml, "16"); }
+std::string small(const std::string& yaml) { return with_rays(yaml, 16); }
 
 std::string element_words(const Tensor<float>& t, std::int64_t element) {
   return "row " + std::to_string(element / t.spec.cols) + ", column " + std::to_string(element % t.spec.cols);
@@ -402,8 +408,8 @@ INSTANTIATE_TEST_SUITE_P(Runs, TensorInjection, ::testing::Values("hash", "two_p
 
 // A bad value of one ray at every stage of a step and of rendering: named with frame and pixel, nothing changed.
 
-std::string hash_yaml() { return with_rays(poisoned(testing_train::hash_config()), "48"); }
-std::string two_pass_yaml() { return with_rays(poisoned(testing_train::two_pass_config()), "24"); }
+std::string hash_yaml() { return with_rays(poisoned(testing_train::hash_config()), 48); }
+std::string two_pass_yaml() { return with_rays(poisoned(testing_train::two_pass_config()), 24); }
 
 struct Place {
   std::string pass, number;
@@ -423,9 +429,7 @@ void spoil_stages_of_training(const std::string& yaml, const Place& place, bool 
     for (const BadValue& bad : values) {
       row = (row + 7) % subject.session.config.train.rays;
       const std::string pixel = subject.aim(row);
-      poison().stage = stage;
-      poison().pass = place.number;
-      poison().value = bad.value;
+      arm(stage, place.number, bad.value);
       for (const Pass<float>& pass : subject.session.pipeline->passes()) {
         if (pass.parts().name == place.pass) poison().domain = pass.parts().domain;
       }
@@ -468,20 +472,13 @@ void spoil_rendering(const std::string& yaml, const Place& place) {
        {"distance", "interval", "encoded position", "encoded direction", "raw density", "colour", "feature"}) {
     for (const BadValue& bad : kNonFinite) {
       pixel = (pixel + 131) % (std::int64_t{info.camera.width_px} * info.camera.height_px);
-      Poison& p = poison();
-      p = {};
-      p.stage = stage;
-      p.pass = place.number;
-      p.value = bad.value;
-      p.ray = pixel;
-      p.in_training = false;
-      p.domain = subject.session.pipeline->passes().back().parts().domain;
+      poison() = {.ray = pixel, .domain = subject.session.pipeline->passes().back().parts().domain};
+      arm(stage, place.number, bad.value, false);
       const std::int64_t x = pixel % info.camera.width_px, y = pixel / info.camera.width_px;
       double origin[3], direction[3], limits[2];
       cast_ray({info.camera, info.world_from_camera, false}, subject.session.limits, static_cast<std::int32_t>(x),
                static_cast<std::int32_t>(y), origin, direction, limits);
-      p.origin = {origin[0], origin[1], origin[2]};
-      p.direction = {direction[0], direction[1], direction[2]};
+      aim_along(origin, direction);
       const std::string message = message_of_evaluation(subject, {test[0]});
       EXPECT_HAS(message, "pixel x " + std::to_string(x) + ", y " + std::to_string(y), stage,
                  "frame '" + info.name + "'")
@@ -500,9 +497,7 @@ TEST(StageInjection, DensityAskedForByPosition) {
   Registry registry = make_poisoned_registry();
   Subject subject(hash_yaml(), registry, 3);
   for (const BadValue& bad : kNonFinite) {
-    poison().stage = "queried density";
-    poison().in_training = false;
-    poison().value = bad.value;
+    arm("queried density", "", bad.value, false);
     std::vector<double> positions{0.1, 0.2, 0.3, -0.4, 0.5, 0.6, 0.7, 0.2, 0.1};
     std::vector<float> sigma(3);
     const std::string message = error_of([&] {
@@ -518,9 +513,7 @@ TEST(StageInjection, DensityThatTheOccupancyGridAsksFor) {
   for (const BadValue& bad : kNonFinite) {
     Subject subject(hash_yaml(), registry, 15), clean(hash_yaml(), registry, 16);
     const Snapshot before(subject);
-    poison().stage = "queried density";
-    poison().in_training = true;
-    poison().value = bad.value;
+    arm("queried density", "", bad.value);
     EXPECT_HAS(error_of([&] { subject.trainer->advance(); }), "density at (") << bad.name;
     poison() = {};
     const Snapshot after(subject), wanted(clean);
@@ -613,13 +606,9 @@ TEST(DeadDensity, AnEmptySceneIsNoFault) {
   Registry registry = make_registry();
   Subject subject(
       "scene: {type: analytic_room, frames: 4, width_px: 16, height_px: 12, with_labels: false}\n"
-      "rendering: {density_activation: relu, density_bias: -2}\n"
-      "passes:\n"
-      "  - sampler: {type: stratified, samples: 6}\n"
-      "    position: {type: frequency, frequencies: 2}\n"
-      "    direction: {type: frequency, frequencies: 1}\n"
-      "    field: {type: nerf_mlp, depth: 2, width: 8, skip_at: 0, view_width: 8}\n"
-      "train: {steps: 200, rays: 16}\n",
+      "rendering: {density_activation: relu, density_bias: -2}\npasses:\n  - sampler: {type: stratified, samples: 6}\n"
+      "    position: {type: frequency, frequencies: 2}\n    direction: {type: frequency, frequencies: 1}\n"
+      "    field: {type: nerf_mlp, depth: 2, width: 8, skip_at: 0, view_width: 8}\ntrain: {steps: 200, rays: 16}\n",
       registry, 0);
   FrameBuffer black{.width_px = 16, .height_px = 12};
   black.rgb.assign(576, 0);
@@ -673,17 +662,10 @@ SplitScore score_of(int samples, double width_m) {
   Registry registry = make_registry();
   registry.add_field<Slab, SlabParams>("slab", "matter between two planes");
   const std::string yaml =
-      "scene: {type: analytic_room, with_labels: false}\n"
-      "rendering: {density_activation: relu, scene_scale: 1}\n"
-      "passes:\n"
-      "  - name: main\n"
-      "    sampler: {type: stratified, samples: " +
-      std::to_string(samples) +
-      "}\n"
-      "    position: {type: identity}\n"
-      "    direction: {type: spherical_harmonics, degree: 1}\n"
-      "    field: {type: slab, width_m: " +
-      std::to_string(width_m) + "}\n";
+      "scene: {type: analytic_room, with_labels: false}\nrendering: {density_activation: relu, scene_scale: 1}\n"
+      "passes:\n  - name: main\n    sampler: {type: stratified, samples: " +
+      std::to_string(samples) + "}\n    position: {type: identity}\n    direction: {type: spherical_harmonics, " +
+      "degree: 1}\n    field: {type: slab, width_m: " + std::to_string(width_m) + "}\n";
   const Session s = open_text(yaml, registry);
   return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit);
 }

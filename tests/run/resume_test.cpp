@@ -21,8 +21,7 @@ TEST(Resume, AnotherNetworksCheckpointIsRefusedAndNothingChanges) {
   const TempDir dir;
   TestRun wide(hash_config());
   write_safetensors(dir / "state.safetensors", wide.trainer.tensors(), {});
-  std::string narrow_yaml = replaced(hash_config(), "color_width: 32", "color_width: 16");
-  TestRun narrow(narrow_yaml);
+  TestRun narrow(replaced(hash_config(), "color_width: 32", "color_width: 16"));
   const std::uint32_t before = narrow.bits();
   EXPECT_HAS(error_of(ErrorKind::data, [&] { narrow.trainer.load(TensorFile::read(dir / "state.safetensors"), 0); }),
              "another network's checkpoint");
@@ -42,27 +41,22 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
       run_training(config_of(hash_config("report: {eval_every_s: 0, strips: 2}\n")), all_plugins(), request, &hooks);
   EXPECT_EQ(outcome.step, 200);
   for (const char* file :
-       {"run.yaml", "metrics.jsonl", "environment.json", "left_out.json", "classes.yaml", "report.html"}) {
+       {"run.yaml", "metrics.jsonl", "environment.json", "left_out.json", "classes.yaml", "report.html"})
     EXPECT_TRUE(std::filesystem::exists(request.out_dir + "/" + file)) << file;
-  }
   EXPECT_HAS(read_text_file(request.out_dir + "/environment.json"), "\"started\": \"20");
   double psnr = 0;
   for (const auto& [name, value] : outcome.values) {
     if (name == "psnr") psnr = *value;
   }
-  {
-    Session untrained = open_text(hash_config());
-    const SplitScore start = evaluate(*untrained.pipeline, untrained.eval_job(untrained.scene.frames_of(Split::test)),
-                                      untrained.limits, untrained.plan.class_of_logit);
-    EXPECT_GT(psnr, *start.color.psnr_db() + 4) << "200 steps teach the field the room's colours";
-  }
+  const auto score_of = [](const Session& s) {
+    return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit);
+  };
+  EXPECT_GT(psnr, *score_of(open_text(hash_config())).color.psnr_db() + 4) << "200 steps teach the room's colours";
 
   // Evaluating the folder gives the run's own last figures.
   Diagnostics diagnostics;
   OpenedRun opened = open_run(request.out_dir, {}, all_plugins(), diagnostics);
-  const SplitScore score =
-      evaluate(*opened.session.pipeline, opened.session.eval_job(opened.session.scene.frames_of(Split::test)),
-               opened.session.limits, opened.session.plan.class_of_logit);
+  const SplitScore score = score_of(opened.session);
   EXPECT_EQ(*score.color.psnr_db(), psnr);
   // What the run folder tells of its last evaluation is that evaluation.
   const FinalEval stored = parse_final_eval(read_text_file(request.out_dir + "/final_eval.json"), "final_eval.json");
@@ -87,12 +81,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   OpenedRun blind = open_run(request.out_dir, {}, all_plugins(), diagnostics, OpenFor::rendering);
   const int frame = opened.session.scene.frames_of(Split::test).front();
   EXPECT_TRUE(blind.session.scene.frames[frame].rgb.empty());
-  const auto render = [frame](Session& s) {
-    const FrameInfo& info = s.scene.info.frames[frame];
-    return render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits,
-                        s.plan.class_of_logit);
-  };
-  const RenderedFrame seen = render(opened.session), unseen = render(blind.session);
+  const RenderedFrame seen = render_frame_of(opened.session, frame), unseen = render_frame_of(blind.session, frame);
   EXPECT_EQ(seen.rgb, unseen.rgb);
   EXPECT_EQ(seen.label, unseen.label);
   EXPECT_EQ(seen.depth_m, unseen.depth_m);
@@ -119,11 +108,12 @@ TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
   EXPECT_LACKS(read_text_file(dir / "run/classes.yaml"), "sofa");
   const Session session = open_text(hash_config());
   const std::string frame = session.scene.info.frames[session.drawn_frames().front()].name;
-  const std::string click = R"("type":"click","frame":")" + frame + R"(","size":[48,36],"points":[[9,9]],"radius":3,)";
-  write_file_atomic(log, R"({"id":"1","type":"class","name":"sofa"})"
-                         "\n"
-                         R"({"id":"2",)" +
-                             click + "\"class\":\"sofa\"}\n" + R"({"id":"3",)" + click + "\"class\":\"wall\"}\n");
+  const auto click = [&](const std::string& id, const std::string& name) {
+    return R"({"id":")" + id + R"(","type":"click","frame":")" + frame +
+           R"(","size":[48,36],"points":[[9,9]],"radius":3,"class":")" + name + "\"}\n";
+  };
+  write_file_atomic(log,
+                    "{\"id\":\"1\",\"type\":\"class\",\"name\":\"sofa\"}\n" + click("2", "sofa") + click("3", "wall"));
   train(yaml, 8, true);
   EXPECT_HAS(read_text_file(dir / "run/classes.yaml"), "sofa");
   write_file_atomic(log, read_text_file(log) + R"({"id":"4","type":"rename","class":"sofa","name":"couch"})" + "\n");
@@ -147,7 +137,8 @@ class CountedSteps final : public RunListener {
   std::function<double(std::int64_t)> step_s = [](std::int64_t) { return kStep_s; };
   std::function<int(std::int64_t)> signal_at = [](std::int64_t) { return 0; };
   std::function<bool(std::int64_t)> save_at = [](std::int64_t) { return false; };
-  bool reports = false;
+  explicit CountedSteps(bool with_reports = false) : reports(with_reports) {}
+  const bool reports;
   std::string notes;
 
   double step_clock_s() override {
@@ -182,13 +173,19 @@ class RunLengthTest : public ::testing::Test {
     ask(made, length);
     return made;
   }
-  TrainOutcome train(RunConfig config, const std::string& run, RunListener& listener) {
+  TrainOutcome train(RunConfig config, const std::string& run, RunListener&& listener = CountedSteps()) {
     TrainRequest request{.out_dir = dir_ / run};
     return run_training(std::move(config), registry_, request, &listener);
   }
-  TrainOutcome resume(const std::string& run, const AskedLength& more, RunListener& listener) {
+  TrainOutcome train(RunConfig config, const std::string& run, RunListener& listener) {
+    return train(std::move(config), run, std::move(listener));
+  }
+  TrainOutcome resume(const std::string& run, const AskedLength& more, RunListener&& listener = CountedSteps()) {
     TrainRequest request{.out_dir = dir_ / run, .resume = true, .more = more};
     return run_training(stored(run), registry_, request, &listener);
+  }
+  TrainOutcome resume(const std::string& run, const AskedLength& more, RunListener& listener) {
+    return resume(run, more, std::move(listener));
   }
   std::uint32_t bits(const std::string& run, std::int64_t step) { return checkpoint_fingerprint(dir_ / run, step); }
   void copy_as_a_kill_leaves_it(const std::string& from, const std::string& to) {
@@ -236,8 +233,7 @@ TEST_F(RunLengthTest, ARateThatChangesIsSettledAnewAndRepeatedByNumbers) {
   EXPECT_EQ(last_step(settled), timed.step);
   for (std::int64_t step = settled.schedule.hold_steps + 1; step < timed.step; ++step)
     ASSERT_LE(schedule_factor(settled.schedule, step), schedule_factor(settled.schedule, step - 1)) << step;
-  CountedSteps other;
-  train(stored("timed"), "again", other);
+  train(stored("timed"), "again");
   EXPECT_EQ(bits("again", timed.step), bits("timed", timed.step));
 }
 
@@ -275,8 +271,7 @@ TEST_F(RunLengthTest, ARunKilledAfterItWasSettledEndsWithTheBitsOfOneLeftAlone) 
 }
 
 TEST_F(RunLengthTest, AResumeTrainsThatMuchMoreAtAUsefulRate) {
-  CountedSteps clock;
-  train(asked({40, 0}), "run", clock);
+  train(asked({40, 0}), "run");
   copy_as_a_kill_leaves_it("run", "cut");
   CountedSteps more;
   const TrainOutcome ended = resume("run", {30, 0}, more);
@@ -291,27 +286,22 @@ TEST_F(RunLengthTest, AResumeTrainsThatMuchMoreAtAUsefulRate) {
   CountedSteps cut;
   cut.signal_at = [](std::int64_t step) { return step == 52 ? 15 : 0; };
   EXPECT_EQ(resume("cut", {30, 0}, cut).step, 52);
-  CountedSteps rest;
-  EXPECT_EQ(resume("cut", {}, rest).step, 70);
+  EXPECT_EQ(resume("cut", {}).step, 70);
   EXPECT_EQ(bits("cut", 70), bits("run", 70));
-  CountedSteps anew;
-  train(stored("run"), "anew", anew);
+  train(stored("run"), "anew");
   EXPECT_EQ(bits("anew", 70), bits("run", 70));
 }
 
 TEST_F(RunLengthTest, AResumeForATimeTrainsThatLongMore) {
-  CountedSteps clock;
-  train(asked({40, 0}), "run", clock);
+  train(asked({40, 0}), "run");
   CountedSteps more;
   more.signal_at = [](std::int64_t step) { return step == 42 ? 2 : 0; };
   EXPECT_EQ(resume("run", {0, 20}, more).step, 42);
   EXPECT_EQ(last_step(stored("run")), 0) << "not settled yet";
-  CountedSteps rest;
-  const TrainOutcome ended = resume("run", {}, rest);
+  const TrainOutcome ended = resume("run", {});
   EXPECT_EQ(ended.step, 120);
   EXPECT_NEAR(ended.train_s, 40 * kStep_s + 20, 0.01);
-  CountedSteps anew;
-  train(stored("run"), "anew", anew);
+  train(stored("run"), "anew");
   EXPECT_EQ(bits("anew", 120), bits("run", 120));
 }
 
@@ -319,21 +309,19 @@ TEST_F(RunLengthTest, MoreIsCountedFromTheStepThatIsResumed) {
   CountedSteps clock;
   clock.signal_at = [](std::int64_t step) { return step == 10 ? 2 : 0; };
   train(asked({40, 0}), "run", clock);
-  CountedSteps more;
-  EXPECT_EQ(resume("run", {25, 0}, more).step, 35) << "in place of what was left";
+  EXPECT_EQ(resume("run", {25, 0}).step, 35) << "in place of what was left";
   const ScheduleParams schedule = stored("run").schedule;
   EXPECT_EQ(schedule_factor(schedule, 10), std::pow(0.1, 10.0 / 40)) << "the rate goes on, for it is above a half";
 }
 
 TEST_F(RunLengthTest, ACheckpointOfAnotherSeedIsNotResumed) {
-  CountedSteps clock;
-  train(asked({2, 0}), "run", clock);
+  train(asked({2, 0}), "run");
   const std::string path = dir_ / "run/checkpoints/" + CheckpointStore::file_name(2);
   const TensorFile file = TensorFile::read(path);
   TensorMetadata metadata = file.metadata();
   metadata["seed"] = "9";
   write_safetensors(path, file.tensors(), metadata);
-  EXPECT_ERROR(resume("run", {2, 0}, clock), "checkpoint.seed.differs", "its seed is 9, its settings say 1");
+  EXPECT_ERROR(resume("run", {2, 0}), "checkpoint.seed.differs", "its seed is 9, its settings say 1");
 }
 
 // Without the lock, which says who held the folder last.
@@ -346,33 +334,24 @@ std::map<std::string, std::pair<std::string, fs::file_time_type>> contents(const
 }
 
 TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
-  CountedSteps clock;
-  clock.reports = true;
-  const TrainOutcome ended = train(asked({20, 0}), "run", clock);
+  const TrainOutcome ended = train(asked({20, 0}), "run", CountedSteps(true));
   const auto before = contents(dir_ / "run");
-  CountedSteps nothing;
-  nothing.reports = true;
+  CountedSteps nothing(true);
   const TrainOutcome again = resume("run", {}, nothing);
   EXPECT_EQ(contents(dir_ / "run"), before);
-  EXPECT_HAS(nothing.notes,
-             "the run has come to its end, 20 steps, and nothing of it was changed; to train on: "
-             "`semfield train --resume " +
-                 (dir_ / "run") + " --time 5s`");
+  EXPECT_HAS(nothing.notes, "the run has come to its end, 20 steps, and nothing of it was changed; to train on: ",
+             "`semfield train --resume " + (dir_ / "run") + " --time 5s`");
   EXPECT_EQ(again.trained_s, 0);
   EXPECT_EQ(again.step, 20);
   EXPECT_EQ(again.values, ended.values);
   EXPECT_EQ(again.scored.frames, ended.scored.frames);
   EXPECT_EQ(again.report_path, ended.report_path);
   // What it says works.
-  CountedSteps more;
-  more.reports = true;
-  EXPECT_EQ(resume("run", {0, 5}, more).step, 40);
+  EXPECT_EQ(resume("run", {0, 5}, CountedSteps(true)).step, 40);
   // A run whose page or last figures are missing gets them.
   fs::remove(dir_ / "run/final_eval.json");
   fs::remove(dir_ / "run/report.html");
-  CountedSteps cut_off;
-  cut_off.reports = true;
-  EXPECT_EQ(resume("run", {}, cut_off).step, 40);
+  EXPECT_EQ(resume("run", {}, CountedSteps(true)).step, 40);
   EXPECT_TRUE(fs::exists(dir_ / "run/final_eval.json") && fs::exists(dir_ / "run/report.html"));
 }
 
@@ -385,8 +364,7 @@ TEST_F(RunLengthTest, AProgramThatDrivesARunHasTheSameLength) {
     EXPECT_EQ(run.training().step(), 80);
     run.save("");
   }
-  CountedSteps again;
-  train(stored("driven"), "again", again);
+  train(stored("driven"), "again");
   EXPECT_EQ(bits("again", 80), bits("driven", 80));
 }
 

@@ -103,10 +103,8 @@ struct FrameRays {
 };
 
 TEST(Probability, OfAFrameSumsToOneAndItsLargestIsTheLabelsConfidence) {
-  for (const std::string& yaml : {hash_config(), two_pass_config(),
-                                  with_scene(hash_config(),
-                                             "{type: analytic_room, frames: 4, absent_class: 1, labels: "
-                                             "{frames: 1}}")}) {
+  const std::string absent = "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}";
+  for (const std::string& yaml : {hash_config(), two_pass_config(), with_scene(hash_config(), absent)}) {
     Trainer training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
     training.train(40);
     const Session& s = training.session();
@@ -221,9 +219,8 @@ Session open_in_unit(const Case& c, double scale) {
       parse_config_text("scene: {type: analytic_room, " + c.scene + "load: {" + lengths + "}}", "scene");
   ConfigNode tree = c.config.ends_with(".yaml") ? compose_config(c.config, c.set) : parse_config_text(c.config, c.name);
   Diagnostics diagnostics;
-  RunConfig config = read_run_config(tree.with("scene", *scene.find("scene")), all_plugins(), diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, c.name);
-  return open_session(std::move(config), all_plugins(), {}, diagnostics);
+  return open_session(run_config_of(tree.with("scene", *scene.find("scene")), all_plugins()), all_plugins(), {},
+                      diagnostics);
 }
 
 Outcome train_in_unit(const Case& c, double scale) {
@@ -240,22 +237,21 @@ Outcome train_in_unit(const Case& c, double scale) {
   }
   for (const Tensor<float>& t : s.pipeline->store().all())
     if (t.learned()) out.learned = crc32c(std::as_bytes(std::span(t.value.data(), t.value.size())), out.learned);
-  const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(s.scene.frames_of(Split::test).front())];
-  const RenderedFrame seen = render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion},
-                                          s.limits, s.plan.class_of_logit);
+  const RenderedFrame seen = render_frame_of(s, s.scene.frames_of(Split::test).front());
   out.color = seen.rgb;
   for (const float depth : seen.depth_m) out.depth_m += static_cast<double>(depth) / std::ssize(seen.depth_m);
   return out;
 }
 
+const std::string kOfMain = "passes.main.";
 const std::vector<std::string> kSmallGrid{"train.rays=48",
                                           "semantics.hidden_width=8",
-                                          "passes.main.sampler.resolution=32",
-                                          "passes.main.sampler.warmup_steps=16",
-                                          "passes.main.sampler.max_samples=24",
-                                          "passes.main.position.levels=4",
-                                          "passes.main.position.log2_entries=10",
-                                          "passes.main.field={type: tiny_mlp, hidden_width: 16, color_width: 16}"};
+                                          kOfMain + "sampler.resolution=32",
+                                          kOfMain + "sampler.warmup_steps=16",
+                                          kOfMain + "sampler.max_samples=24",
+                                          kOfMain + "position.levels=4",
+                                          kOfMain + "position.log2_entries=10",
+                                          kOfMain + "field={type: tiny_mlp, hidden_width: 16, color_width: 16}"};
 const std::vector<std::string> kSmallPaper{
     "train.rays=24", "semantics.hidden_width=8", "passes.coarse.sampler.samples=8", "passes.fine.sampler.samples=8",
     "passes.coarse.field={type: nerf_mlp, depth: 2, width: 16, skip_at: 1, view_width: 8}"};
@@ -282,8 +278,7 @@ const char* const kPhotographs = "with_depth: false, ";
 std::vector<Case> cases() {
   const std::string losses =
       "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, "
-      "weight: "
-      "0.1, from_step: 0}, {type: generalised_cross_entropy, weight: 0.3}]\n";
+      "weight: 0.1, from_step: 0}, {type: generalised_cross_entropy, weight: 0.3}]\n";
   return {
       {"room", "presets/room.yaml", "", kSmallGrid, true},
       {"room without depth", "presets/room.yaml", kPhotographs, kSmallGrid},

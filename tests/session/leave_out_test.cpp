@@ -19,14 +19,16 @@ namespace {
 
 using namespace testing_train;
 
-struct Trained {
-  Trained(const std::string& yaml, const std::vector<std::string>& keep, int steps) : session(open_text(yaml, keep)) {
+struct Trained : TestRun {
+  Trained(const std::string& yaml, const std::vector<std::string>& keep, int steps)
+      : TestRun(yaml, all_plugins(), keep) {
     trainer.train(steps);
   }
-  Session session;
-  Trainer trainer{session};
 };
-Trained train(const std::string& yaml, const std::vector<std::string>& keep, int steps) { return {yaml, keep, steps}; }
+
+bool same_bits(const AlignedBuffer<float>& a, const AlignedBuffer<float>& b) {
+  return a.size() == b.size() && std::memcmp(a.data(), b.data(), sizeof(float) * a.size()) == 0;
+}
 
 bool left_out(const Session& s, const std::string& component) {
   for (const LeftOut& row : s.plan.left_out) {
@@ -42,11 +44,7 @@ void expect_shared_tensors_equal(Session& a, Session& b) {
   for (const Tensor<float>& t : a.pipeline->store().all()) {
     const Tensor<float>* other = b.pipeline->store().find(t.name);
     if (other == nullptr || !t.learned()) continue;
-    EXPECT_EQ(0, std::memcmp(t.value.data(), other->value.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
-        << t.name;
-    EXPECT_EQ(0,
-              std::memcmp(t.moment2.data(), other->moment2.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
-        << t.name;
+    EXPECT_TRUE(same_bits(t.value, other->value) && same_bits(t.moment2, other->moment2)) << t.name;
     ++shared;
   }
   EXPECT_GT(shared, 8);
@@ -59,7 +57,7 @@ TEST(LeaveOut, WhatNoTensorNeedsIsLeftOutBitwise) {
       {"semantics", with_scene(hash_config(), "{type: analytic_room, labels: {frames: none}}"), 40}};
   for (const auto& [component, yaml, steps] : cases) {
     SCOPED_TRACE(component);
-    Trained out = train(yaml, {}, steps), kept = train(yaml, {component}, steps);
+    Trained out(yaml, {}, steps), kept(yaml, {component}, steps);
     ASSERT_TRUE(left_out(out.session, component));
     ASSERT_FALSE(left_out(kept.session, component));
     expect_shared_tensors_equal(out.session, kept.session);
@@ -72,11 +70,7 @@ TEST(LeaveOut, WhatNoTensorNeedsIsLeftOutBitwise) {
 // The reason is that of this run: what was requested, or what the build, the machine or a part lacks.
 TEST(LeaveOut, ADeviceIsLeftOutForTheReasonThatItIs) {
   const auto reason_of = [](const std::string& more) {
-    const Session s = open_text(hash_config() + more);
-    for (const LeftOut& row : s.plan.left_out) {
-      if (row.component == "cuda") return row.evidence;
-    }
-    return std::string("it is there");
+    return left_out_row(open_text(hash_config() + more), "cuda").evidence;
   };
   EXPECT_EQ(reason_of("runtime: {device: cpu}\n"), "runtime.device is cpu");
   std::string why_not = "it is there";
@@ -87,15 +81,13 @@ TEST(LeaveOut, ADeviceIsLeftOutForTheReasonThatItIs) {
 TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
   std::string yaml = hash_config();
   yaml.insert(yaml.find("  - name: main\n"),
-              "  - name: coarse\n"
-              "    sampler: {type: stratified, samples: 4}\n"
-              "    position: {type: frequency, frequencies: 2}\n"
-              "    direction: {type: spherical_harmonics, degree: 2}\n"
+              "  - name: coarse\n    sampler: {type: stratified, samples: 4}\n"
+              "    position: {type: frequency, frequencies: 2}\n    direction: {type: spherical_harmonics, degree: 2}\n"
               "    field: {type: tiny_mlp, hidden_width: 16, color_width: 16}\n");
-  Trained out = train(yaml, {}, 20);
+  Trained out(yaml, {}, 20);
   ASSERT_TRUE(left_out(out.session, "coarse_passes"));
   EXPECT_EQ(out.session.pipeline->store().find("coarse/field/density_0/weight"), nullptr);
-  Trained kept = train(yaml, {"coarse_passes"}, 20);
+  Trained kept(yaml, {"coarse_passes"}, 20);
   EXPECT_EQ(kept.session.pipeline->passes().size(), 2U);
   // The tile of rays must be the same for the pair, or the sums have another order.
   ASSERT_EQ(out.session.pipeline->tile_rays(), kept.session.pipeline->tile_rays());
@@ -103,17 +95,16 @@ TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
 }
 
 TEST(LeaveOut, ASceneWithoutLabelsBuildsNoHead) {
-  std::string yaml = with_scene(hash_config(), "{type: analytic_room, with_labels: false}");
-  Session s = open_text(yaml);
+  Session s = open_text(with_scene(hash_config(), "{type: analytic_room, with_labels: false}"));
   EXPECT_TRUE(left_out(s, "semantics"));
   EXPECT_FALSE(s.pipeline->has_semantics());
   for (const Tensor<float>& t : s.pipeline->store().all()) EXPECT_LACKS(t.name, "semantic");
 }
 
+const std::string kAbsentClass = "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}";
+
 TEST(LeaveOut, AbsentClassesGetNoLogit) {
-  std::string yaml =
-      with_scene(hash_config(), "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
-  Session s = open_text(yaml);
+  Session s = open_text(with_scene(hash_config(), kAbsentClass));
   int present = 0;
   for (const std::int64_t pixels : s.manifest.train_class_pixels) present += pixels > 0 ? 1 : 0;
   EXPECT_LT(present, s.classes());
@@ -123,9 +114,8 @@ TEST(LeaveOut, AbsentClassesGetNoLogit) {
 
 // The other model of the same claim: all classes, those without a pixel masked by a bias that no exponential survives.
 TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
-  std::string yaml =
-      with_scene(hash_config(), "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
-  Trained out = train(yaml, {}, 0), kept = train(yaml, {"absent_classes"}, 0);
+  const std::string yaml = with_scene(hash_config(), kAbsentClass);
+  Trained out(yaml, {}, 0), kept(yaml, {"absent_classes"}, 0);
   const std::vector<int>& present = out.session.plan.class_of_logit;
   const std::size_t all = kept.session.plan.class_of_logit.size();
   ASSERT_LT(present.size(), all);
@@ -151,8 +141,7 @@ TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
   for (const Tensor<float>& t : out.session.pipeline->store().all()) {
     if (!t.learned() || t.name.find("semantic/class") != std::string::npos) continue;
     const Tensor<float>& other = *kept.session.pipeline->store().find(t.name);
-    EXPECT_EQ(0, std::memcmp(t.value.data(), other.value.data(), sizeof(float) * static_cast<std::size_t>(t.size())))
-        << t.name;
+    EXPECT_TRUE(same_bits(t.value, other.value)) << t.name;
   }
   for (const char* name : {"weight", "bias"}) {
     const Tensor<float>&narrow = tensor(out, name), &wide = tensor(kept, name);
@@ -170,25 +159,20 @@ BuildPlan plan_of(const SceneManifest& manifest, const BuildRequest& request,
   return plan_build(manifest, request, keep);
 }
 
-bool leaves(const BuildPlan& plan, const std::string& component, ProofClass* proof = nullptr) {
-  for (const LeftOut& row : plan.left_out) {
-    if (row.component != component) continue;
-    if (proof != nullptr) *proof = row.proof;
-    return true;
-  }
-  return false;
+// How it is proven that the component may go; nothing where it stays.
+std::optional<ProofClass> proof_of(const BuildPlan& plan, const std::string& component) {
+  for (const LeftOut& row : plan.left_out)
+    if (row.component == component) return row.proof;
+  return {};
 }
 
 TEST(LeaveOut, TheViewBranchGoesWhereAllRaysAreAlmostParallel) {
   SceneManifest manifest{.direction_spread_deg = 4.9};
-  ProofClass proof{};
-  EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
-  EXPECT_EQ(proof, ProofClass::statistical);
+  EXPECT_EQ(proof_of(plan_of(manifest, {}), "view_branch"), ProofClass::statistical);
   EXPECT_FALSE(plan_of(manifest, {}).view_branch);
   EXPECT_TRUE(plan_of(manifest, {}, {"view_branch"}).view_branch);
   manifest.direction_spread_deg = 0;
-  EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
-  EXPECT_EQ(proof, ProofClass::bitwise);
+  EXPECT_EQ(proof_of(plan_of(manifest, {}), "view_branch"), ProofClass::bitwise);
   manifest.direction_spread_deg = 5.1;
   EXPECT_TRUE(plan_of(manifest, {}).view_branch);
 
@@ -200,20 +184,15 @@ TEST(LeaveOut, TheViewBranchGoesWhereAllRaysAreAlmostParallel) {
 
 TEST(LeaveOut, RowsOfSamplerAndEarlyStopNameTheirProof) {
   BuildRequest request{.empty_space = EmptySpace::certified, .early_stop = 1e-4};
-  ProofClass proof{};
-  EXPECT_TRUE(leaves(plan_of({}, request), "late_samples", &proof));
-  EXPECT_EQ(proof, ProofClass::certified);
-  EXPECT_TRUE(leaves(plan_of({}, request), "empty_space", &proof));
-  EXPECT_EQ(proof, ProofClass::statistical) << "the grid's densities are estimates";
+  EXPECT_EQ(proof_of(plan_of({}, request), "late_samples"), ProofClass::certified);
+  EXPECT_EQ(proof_of(plan_of({}, request), "empty_space"), ProofClass::statistical) << "its densities are estimates";
   EXPECT_FALSE(plan_of({}, request).late_samples);
   EXPECT_TRUE(plan_of({}, request, {"late_samples"}).late_samples);
   request.empty_space = EmptySpace::threshold;
-  EXPECT_TRUE(leaves(plan_of({}, request), "empty_space", &proof));
-  EXPECT_EQ(proof, ProofClass::statistical);
+  EXPECT_EQ(proof_of(plan_of({}, request), "empty_space"), ProofClass::statistical);
   request.empty_space = EmptySpace::sampled;
   request.early_stop = 0;
-  EXPECT_FALSE(leaves(plan_of({}, request), "empty_space"));
-  EXPECT_FALSE(leaves(plan_of({}, request), "late_samples"));
+  for (const char* stays : {"empty_space", "late_samples"}) EXPECT_FALSE(proof_of(plan_of({}, request), stays));
 
   EXPECT_GT(open_text(hash_config()).pipeline->options().rules.rendering.early_stop, 0);
   EXPECT_EQ(open_text(hash_config(), {"late_samples"}).pipeline->options().rules.rendering.early_stop, 0);
@@ -277,9 +256,7 @@ TEST(LeaveOut, WhatPartsLeaveOutHasTheReasonThatItIs) {
 TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
   const auto open_for_training = [&](const std::vector<std::string>& keep) {
     Diagnostics diagnostics;
-    SessionOptions options{.keep = keep, .depth = DepthKept::test};
-    return open_session(read_run_config(parse_config_text(hash_config(), "test.yaml"), all_plugins(), diagnostics),
-                        all_plugins(), options, diagnostics);
+    return open_text(hash_config(), all_plugins(), SessionOptions{.keep = keep, .depth = DepthKept::test}, diagnostics);
   };
   const Session out = open_for_training({}), kept = open_for_training({"training_depth"});
   ASSERT_TRUE(left_out(out, "training_depth"));
@@ -292,13 +269,11 @@ TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
 // What is kept belongs to the run: it is in run.yaml, and whoever opens the run builds the same network.
 TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
   const TempDir dir;
-  std::string yaml = replaced(with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"),
-                                         "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}"),
-                              "steps: 200", "steps: 4");
+  const std::string yaml = replaced(with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"), kAbsentClass),
+                                    "steps: 200", "steps: 4");
   Diagnostics diagnostics;
   TrainRequest request{.out_dir = dir / "run", .keep = {"absent_classes", "late_samples"}};
-  run_training(read_run_config(parse_config_text(yaml, "test.yaml"), all_plugins(), diagnostics), all_plugins(),
-               request, {});
+  run_training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins(), request, {});
   const OpenedRun opened = open_run(request.out_dir, {}, all_plugins(), diagnostics);
   EXPECT_EQ(opened.step, 4);
   EXPECT_EQ(opened.session.plan.kept, (std::vector<std::string>{"absent_classes", "late_samples"}));
@@ -436,11 +411,7 @@ TEST(ThreadArenas, EveryUnitIsDoneOnceInAnArenaThatNoOtherThreadHas) {
 }
 
 TEST(Determinism, ChosenLanesGiveTheSameBitsFor1And2And3And7ThreadsAndOddRays) {
-  const auto with_rays = [](std::string yaml, const std::string& rays) {
-    const std::size_t at = yaml.find("rays: ") + 6;
-    return yaml.replace(at, yaml.find_first_of(",}", at) - at, rays);
-  };
-  for (const std::string& yaml : {with_rays(hash_config(), "1021"), with_rays(two_pass_config(), "333")}) {
+  for (const std::string& yaml : {with_rays(hash_config(), 1021), with_rays(two_pass_config(), 333)}) {
     const std::uint32_t one = train_fingerprint(yaml, 1, 4);
     for (const int threads : {2, 3, 7}) EXPECT_EQ(train_fingerprint(yaml, threads, 4), one) << threads << " threads";
   }

@@ -25,11 +25,15 @@ TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
   BatchBuffers& batch = soft.batch;
   batch.more = {{std::string(channel::soft_label), logits, {}}};
   batch.of(channel::soft_label).assign(batch.label.size() * static_cast<std::size_t>(logits), 0.0F);
-  for (std::size_t r = 0; r < batch.label.size(); ++r) {
-    if (batch.label[r] != kVoid)
-      batch.of(channel::soft_label)[r * static_cast<std::size_t>(logits) + static_cast<std::size_t>(batch.label[r])] =
-          1;
-  }
+  const auto label_with = [&](float own, float next) {
+    for (std::size_t r = 0; r < batch.label.size(); ++r) {
+      if (batch.label[r] == kVoid) continue;
+      float* row = &batch.of(channel::soft_label)[r * static_cast<std::size_t>(logits)];
+      row[batch.label[r]] = own;
+      row[(batch.label[r] + 1) % logits] = next;
+    }
+  };
+  label_with(1, 0);
   const StepLosses a = hard.gradients(), b = soft.gradients();
   EXPECT_EQ(a.labelled, b.labelled);
   EXPECT_GT(a.labelled, 0);
@@ -40,12 +44,7 @@ TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
       ASSERT_NEAR(t.grad.data()[i], other->grad.data()[i], 1e-12) << t.name;
   }
   // Half of each label moved to another class: another loss, another gradient.
-  for (std::size_t r = 0; r < batch.label.size(); ++r) {
-    if (batch.label[r] == kVoid) continue;
-    float* row = &batch.of(channel::soft_label)[r * static_cast<std::size_t>(logits)];
-    row[batch.label[r]] = 0.5F;
-    row[(batch.label[r] + 1) % logits] = 0.5F;
-  }
+  label_with(0.5F, 0.5F);
   const StepLosses c = soft.gradients();
   EXPECT_EQ(c.labelled, a.labelled);
   EXPECT_NE(c.semantic, a.semantic);
@@ -58,9 +57,9 @@ void expect_unchanged_without(const std::string& switched_off) {
 TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSums) {
   expect_same_gradients(two_pass_config("runtime: {lanes: 1, tile_rays: 64}\n"),
                         two_pass_config("runtime: {lanes: 3, tile_rays: 4}\n"));
-  std::string hash = hash_config();
-  hash.replace(hash.find("{type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96, keep_last: true}"),
-               90, "{type: stratified, samples: 24}");
+  const std::string hash = replaced(
+      hash_config(), "{type: occupancy_grid, resolution: 32, warmup_steps: 32, max_samples: 96, keep_last: true}",
+      "{type: stratified, samples: 24}");
   expect_same_gradients(hash + "runtime: {lanes: 1, tile_rays: 192}\n", hash + "runtime: {lanes: 5, tile_rays: 8}\n");
 }
 
@@ -101,20 +100,28 @@ TEST(Parity, StoppedSemanticGradientLeavesTheDensityLayerAlone) {
   EXPECT_NE(density_gradient(flowing), density_gradient(none));
 }
 
+std::string frequency_config(const std::string& semantics, const std::string& rendering, int rays, int samples,
+                             const std::string& field, const std::string& precision) {
+  return "scene: {type: analytic_room}\nsemantics: {" + semantics + "}\nrendering: {" + rendering +
+         "}\ntrain: {rays: " + std::to_string(rays) +
+         "}\npasses:\n  - sampler: {type: stratified, samples: " + std::to_string(samples) +
+         "}\n    position: {type: frequency, frequencies: 3}\n" +
+         "    direction: {type: frequency, frequencies: 2}\n    field: " + field +
+         "\nruntime: {device: cpu, precision: " + precision + "}\n";
+}
+
 // Widths that are multiples of 32 hand the feature on in bf16, 24 and 16 in full.
 TEST(Parity, GradientsInBf16AreTheOraclesWithinItsPrecision) {
   for (const std::string field : {"{type: nerf_mlp, depth: 4, width: 32, skip_at: 2, view_width: 24}",
                                   "{type: nerf_mlp, depth: 2, width: 24, skip_at: 0, view_width: 32}",
                                   "{type: tiny_mlp, hidden_width: 64, color_width: 24}",
                                   "{type: tiny_mlp, hidden_width: 24, feature: geometry}"}) {
-    const std::string yaml =
-        "scene: {type: analytic_room}\nsemantics: {hidden_width: 32, weight: 3}\nrendering: {density_activation: "
-        "softplus}\ntrain: {rays: 48}\npasses:\n  - sampler: {type: stratified, samples: 24}\n    position: {type: "
-        "frequency, frequencies: 3}\n    direction: {type: frequency, frequencies: 2}\n    field: " +
-        field + "\nruntime: {device: cpu, precision: ";
-    Oracle oracle(yaml + "fp32}\n");
+    const auto yaml = [&](const std::string& precision) {
+      return frequency_config("hidden_width: 32, weight: 3", "density_activation: softplus", 48, 24, field, precision);
+    };
+    Oracle oracle(yaml("fp32"));
     oracle.gradients();
-    Session rounded = open_text(yaml + "bf16}\n");
+    Session rounded = open_text(yaml("bf16"));
     ParamStore<float>& store = rounded.pipeline->store();
     rounded.pipeline->derive(3);
     const StepLosses losses = rounded.pipeline->lanes().gradients(3, oracle.batch.view(true));
@@ -152,15 +159,10 @@ std::vector<float> rendered(Session& session, const BatchBuffers& batch) {
 // Rays that may stop early take their samples in rounds, and hand hidden activations on from each, in bf16 too.
 TEST(Parity, RoundsOfRenderingGiveWhatOneEvaluationGives) {
   for (const std::string precision : {"fp32", "bf16"}) {
-    const auto open = [&](const std::string& early_stop) {
+    const auto open = [&](const std::string& stop) {
+      const std::string rendering = "density_activation: softplus, early_stop: " + stop;
       return open_text(
-          "scene: {type: analytic_room}\nsemantics: {hidden_width: 32}\nrendering: {density_activation: softplus, "
-          "early_stop: " +
-          early_stop +
-          "}\ntrain: {rays: 24}\npasses:\n  - sampler: {type: stratified, samples: 40}\n    position: {type: "
-          "frequency, frequencies: 3}\n    direction: {type: frequency, frequencies: 2}\n    field: {type: "
-          "tiny_mlp, hidden_width: 64}\nruntime: {device: cpu, precision: " +
-          precision + "}\n");
+          frequency_config("hidden_width: 32", rendering, 24, 40, "{type: tiny_mlp, hidden_width: 64}", precision));
     };
     Session rounds = open("1e-12"), whole = open("0");
     rounds.pipeline->derive(0);
@@ -270,19 +272,15 @@ TEST(FieldPoints, SameBitsInAnyGroupingAndProbabilitiesAreOnes) {
                                   from.begin() + static_cast<std::ptrdiff_t>(end));
       };
       const FieldPoints part = ask(s, cut(places), cut(seen));
-      const auto add = [](auto& to, const auto& more) { to.insert(to.end(), more.begin(), more.end()); };
-      add(parts.sigma, part.sigma);
-      add(parts.rgb, part.rgb);
-      add(parts.label, part.label);
-      add(parts.probability, part.probability);
-      add(parts.entropy, part.entropy);
+      for (const auto values :
+           {&FieldPoints::sigma, &FieldPoints::rgb, &FieldPoints::probability, &FieldPoints::entropy})
+        (parts.*values).insert((parts.*values).end(), (part.*values).begin(), (part.*values).end());
+      parts.label.insert(parts.label.end(), part.label.begin(), part.label.end());
       begin = end;
     }
-    EXPECT_EQ(all.sigma, parts.sigma);
-    EXPECT_EQ(all.rgb, parts.rgb);
+    for (const auto values : {&FieldPoints::sigma, &FieldPoints::rgb, &FieldPoints::probability, &FieldPoints::entropy})
+      EXPECT_EQ(all.*values, parts.*values);
     EXPECT_EQ(all.label, parts.label);
-    EXPECT_EQ(all.probability, parts.probability);
-    EXPECT_EQ(all.entropy, parts.entropy);
     EXPECT_GT(*std::max_element(all.sigma.begin(), all.sigma.end()), 0);
     for (std::size_t i = 0; i < places.size(); ++i) {
       const auto row = all.probability.begin() + static_cast<std::ptrdiff_t>(i * classes);
@@ -304,10 +302,8 @@ TEST(FieldPoints, NothingIsOutsideTheBoundsAndWhatIsNotFiniteIsRefused) {
   EXPECT_EQ(found.sigma[1], 0);
   EXPECT_TRUE(found.rgb.empty());
   EXPECT_TRUE(ask(s, {}, {}).sigma.empty());
-  EXPECT_HAS(error_of([&] {
-               (void)ask(s, {middle, {0, std::numeric_limits<double>::quiet_NaN(), 0}}, {});
-             }),
-             "position 1: (0, nan, 0) is not finite");
+  const std::vector<Vec3d> bad{middle, {0, std::numeric_limits<double>::quiet_NaN(), 0}};
+  EXPECT_HAS(error_of([&] { (void)ask(s, bad, {}); }), "position 1: (0, nan, 0) is not finite");
 }
 
 // Corrections of training cameras: formulas and gradients against finite differences, the mean that stays, and poses
@@ -361,18 +357,19 @@ TEST(CameraMath, GradientsOfTheDomainMapAreThoseOfFiniteDifferences) {
   }
 }
 
+// `yaml` with another value of the slot of its pass; without that line where there is none.
+std::string with_line(std::string yaml, const std::string& slot, const std::string& value = "") {
+  const std::string begin = "    " + slot + ": ";
+  const std::size_t at = yaml.find(begin), end = yaml.find('\n', at) + 1;
+  return yaml.replace(at, end - at, value.empty() ? "" : begin + value + "\n");
+}
+
 // A table's encoder, and one that learns nothing. Positions alone: what the view direction says of colours teaches no
 // pose, so that neither field sees one here.
 TEST(CameraCorrections, GradientsAreThoseOfFiniteDifferences) {
-  std::string tables = stratified_config("type: analytic_room", "", kLearned + "rays: 24"), frequencies = tables;
-  const std::size_t direction = tables.find("    direction:");
-  if (direction != std::string::npos) tables.erase(direction, tables.find('\n', direction) + 1 - direction);
-  const std::size_t position = tables.find("    position:");
-  ASSERT_NE(position, std::string::npos);
-  frequencies = tables;
-  frequencies.replace(position, frequencies.find('\n', position) - position,
-                      "    position: {type: frequency, frequencies: 3}");
-  for (const std::string& yaml : {tables, frequencies}) {
+  const std::string tables =
+      with_line(stratified_config("type: analytic_room", "", kLearned + "rays: 24"), "direction");
+  for (const std::string& yaml : {tables, with_line(tables, "position", "{type: frequency, frequencies: 3}")}) {
     SCOPED_TRACE(yaml);
     Oracle oracle(yaml);
     ASSERT_NE(oracle.pipeline->cameras(), nullptr);
@@ -433,8 +430,7 @@ const char* const kAuto = "cameras: {poses: auto, colors: auto}, ";
 TEST(CameraChoices, FollowTheEvidence) {
   const auto chosen = [](CameraTrust asked, bool tracked, std::optional<double> exposure,
                          std::optional<bool> fits = {}) {
-    CameraParams cameras;
-    cameras.poses = cameras.colors = asked;
+    CameraParams cameras{.poses = asked, .colors = asked};
     const CameraReasons why = choose_cameras(cameras, {tracked, exposure, fits});
     EXPECT_EQ(why.poses.empty() || why.colors.empty(), asked != CameraTrust::automatic);
     return std::pair{cameras.poses == CameraTrust::learned, cameras.colors == CameraTrust::learned};
@@ -477,9 +473,8 @@ TEST(CameraChoices, AreSettledWhenASceneIsOpened) {
 TEST(CameraCorrections, AnEncoderThatCannotIsRefusedByName) {
   Registry registry = make_registry();
   toy::register_into(registry);
-  std::string yaml = stratified_config("type: analytic_room", "", kLearned + "rays: 24");
-  const std::size_t position = yaml.find("    position:");
-  yaml.replace(position, yaml.find('\n', position) - position, "    position: {type: toy}");
+  const std::string yaml =
+      with_line(stratified_config("type: analytic_room", "", kLearned + "rays: 24"), "position", "{type: toy}");
   EXPECT_HAS(error_of(ErrorKind::config, [&] { (void)open_text(yaml, registry); }),
              "encoder 'toy' has learned tensors and gives no gradient of positions by itself");
 }

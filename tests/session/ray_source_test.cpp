@@ -17,24 +17,27 @@
 namespace semfield {
 namespace {
 
+constexpr RaySourceKind kBalanced = RaySourceKind::label_balanced;
+
 struct Fixture {
   FrameBuffer a, b;
   StoredFrame stored_a, stored_b;
   TrainingLabels::Frame labels_a;
   RayLimits limits;
 
+  RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4, .cx = 4, .cy = 2}};
+
   Fixture() {
-    a.width_px = b.width_px = 8;
-    a.height_px = b.height_px = 4;
-    a.rgb.assign(96, 0);
-    b.rgb.assign(96, 255);
-    a.label.assign(32, kVoid);
-    b.label.assign(32, kVoid);
+    for (FrameBuffer* frame : {&a, &b}) {
+      frame->width_px = 8;
+      frame->height_px = 4;
+      frame->rgb.assign(96, frame == &a ? 0 : 255);
+      frame->label.assign(32, kVoid);
+    }
     a.label[5] = 1;
     b.label[9] = 0;  // frame b's labels are not selected
   }
-  RaySource make(RaySourceOptions options) {
-    RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4, .cx = 4, .cy = 2}};
+  RaySource make(const RaySourceOptions& options) {
     stored_a = StoredFrame(a);
     stored_b = StoredFrame(b);
     labels_a.hard = stored_a.label;
@@ -44,10 +47,9 @@ struct Fixture {
 
 TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
   Fixture f;
-  RaySourceOptions options{.train = {.rays = 6400}};
-  const RaySource source = f.make(options);
+  const RaySource source = f.make({.train = {.rays = 6400}});
   std::vector<int> hits(64);
-  for (std::int64_t ray = 0; ray < options.train.rays; ++ray) {
+  for (std::int64_t ray = 0; ray < 6400; ++ray) {
     const RaySource::Pixel p = source.choose(0, ray);
     ++hits[p.frame * 32 + p.index];
   }
@@ -61,8 +63,7 @@ TEST(RaySource, MaskedPixelsAreNeverDrawnAndTheOthersUniformly) {
   f.a.used.assign(32, 0);
   f.a.used[3] = f.a.used[31] = 1;  // b has no mask
   for (const RaySourceKind kind : {RaySourceKind::all_images, RaySourceKind::one_image}) {
-    RaySourceOptions options{.train = {.rays = 3400, .ray_source = kind}};
-    const RaySource source = f.make(options);
+    const RaySource source = f.make({.train = {.rays = 3400, .ray_source = kind}});
     std::vector<int> hits(64);
     for (std::int64_t step = 0; step < 20; ++step) {
       for (std::int64_t ray = 0; ray < 170; ++ray) {
@@ -82,14 +83,13 @@ TEST(RaySource, AMaskedPixelHasNoLabelWhoeverGaveItOne) {
   Fixture f;
   f.a.used.assign(32, 1);
   f.a.used[5] = 0;
-  const RaySourceOptions balanced{.train = {.rays = 100, .ray_source = RaySourceKind::label_balanced}};
-  EXPECT_ERROR(f.make(balanced), "labels.training.none", "label");
+  EXPECT_ERROR(f.make({.train = {.rays = 100, .ray_source = kBalanced}}), "labels.training.none", "label");
 }
 
 TEST(RaySource, AlphaIsThatOfThePixelAndUnknownElsewhere) {
   Fixture f;
-  RaySourceOptions options{.train = {.rays = 256, .ray_source = RaySourceKind::label_balanced, .labelled_share = 0.25},
-                           .targets = {std::string(channel::alpha)}};
+  RaySourceOptions options{.train = {.rays = 256, .ray_source = kBalanced, .labelled_share = 0.25}};
+  options.targets = {std::string(channel::alpha)};
   options.train.label_rays_teach_color = false;
   std::vector<std::uint8_t> bytes(32);
   for (std::size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<std::uint8_t>(8 * i);
@@ -139,8 +139,7 @@ TEST(RaySource, ChannelsHaveOneOrderWhoeverAsksFirst) {
 
 TEST(RaySource, OneImageTakesOneFrameAStep) {
   Fixture f;
-  RaySourceOptions options{.train = {.ray_source = RaySourceKind::one_image}};
-  const RaySource source = f.make(options);
+  const RaySource source = f.make({.train = {.ray_source = RaySourceKind::one_image}});
   std::set<int> frames;
   for (std::int64_t step = 0; step < 20; ++step) {
     const std::int32_t frame = source.choose(step, 0).frame;
@@ -152,9 +151,8 @@ TEST(RaySource, OneImageTakesOneFrameAStep) {
 
 TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
   Fixture f;
-  RaySourceOptions options{.train = {.rays = 128, .ray_source = RaySourceKind::label_balanced, .labelled_share = 0.25},
-                           .tile_rays = 32};
-  const RaySource source = f.make(options);
+  const RaySource source =
+      f.make({.train = {.rays = 128, .ray_source = kBalanced, .labelled_share = 0.25}, .tile_rays = 32});
   BatchBuffers batch;
   source.fill(7, batch);
   for (int tile = 0; tile < 4; ++tile) {
@@ -200,7 +198,7 @@ TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
   f.a.label.assign(32, kVoid);
   RaySourceOptions options{.train = {.rays = 64, .label_rays_teach_color = false}};
   RaySource all = f.make(options);
-  options.train.ray_source = RaySourceKind::label_balanced;
+  options.train.ray_source = kBalanced;
   options.labels_may_come = true;
   RaySource source = f.make(options);
   BatchBuffers one, two;
@@ -266,7 +264,7 @@ TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
     }
     stored[f] = StoredFrame(frame);
   }
-  RaySourceOptions options{.train = {.ray_source = RaySourceKind::label_balanced, .labelled_share = 1}, .seed = 9};
+  RaySourceOptions options{.train = {.ray_source = kBalanced, .labelled_share = 1}, .seed = 9};
   RayCamera camera{.camera = {.width_px = 37, .height_px = 19}};
   const TrainingLabels::Frame labels[3] = {{stored[0].label, {}}, {}, {stored[2].label, {}}};
   const RaySource source(
@@ -276,8 +274,7 @@ TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
   for (std::int64_t ray = 0; ray < 2000; ++ray) {
     const RaySource::Pixel got = source.choose(5, ray);
     const RaySource::Pixel want = labelled[uniform_below(address, static_cast<std::uint64_t>(ray), labelled.size())];
-    ASSERT_EQ(got.frame, want.frame);
-    ASSERT_EQ(got.index, want.index);
+    ASSERT_TRUE(got.frame == want.frame && got.index == want.index) << ray;
   }
 }
 
@@ -290,9 +287,8 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
   f.stored_a = StoredFrame(f.a);
   f.stored_b = StoredFrame(f.b);
   const TrainingLabels::Frame a{{}, soft}, b{f.stored_b.label, {}};
-  RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4}};
-  RaySourceOptions options{.train = {.rays = 3000}};
-  const RaySource source({{camera, &f.stored_a, &a}, {camera, &f.stored_b, &b}}, {0, kVoid, 1}, f.limits, options);
+  const RaySource source({{f.camera, &f.stored_a, &a}, {f.camera, &f.stored_b, &b}}, {0, kVoid, 1}, f.limits,
+                         {.train = {.rays = 3000}});
   BatchBuffers batch;
   source.fill(0, batch);
   ASSERT_EQ(batch.more.at(0).cols, 2);
@@ -319,8 +315,7 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
 
 TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
   Fixture f;
-  RaySourceOptions options{.train = {.rays = 256, .ray_source = RaySourceKind::label_balanced, .labelled_share = 1}};
-  RaySource source = f.make(options);
+  RaySource source = f.make({.train = {.rays = 256, .ray_source = kBalanced, .labelled_share = 1}});
   std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
   a[5] = 0;  // has its own label, 1, which stays
   a[7] = 1;
@@ -344,13 +339,12 @@ TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
 
 TEST(RaySource, AddedLabelsBesideSoftOnesAreSure) {
   Fixture f;
-  RaySourceOptions options{.train = {.rays = 64, .ray_source = RaySourceKind::label_balanced, .labelled_share = 1}};
+  RaySourceOptions options{.train = {.rays = 64, .ray_source = kBalanced, .labelled_share = 1}};
   (void)f.make(options);
   f.labels_a.hard = {};
   f.labels_a.soft = SoftMap(32, 2);
   f.labels_a.soft.set_row(5, std::array<float, 2>{0.25F, 0.5F});
-  RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4}};
-  RaySource source({{camera, &f.stored_a, &f.labels_a}, {camera, &f.stored_b, nullptr}}, {0, 1}, f.limits, options);
+  RaySource source({{f.camera, &f.stored_a, &f.labels_a}, {f.camera, &f.stored_b, nullptr}}, {0, 1}, f.limits, options);
   std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
   a[7] = b[3] = 0;  // beside the soft label, and in a frame without labels
   const std::vector<LabelMap> added{LabelMap(a), LabelMap(b)};
@@ -379,9 +373,7 @@ std::string masked_room(int masked, int behind, const std::string& ray_source = 
   return replaced(yaml, "rays: 192", "rays: 128, ray_source: " + ray_source);
 }
 
-using Values = std::vector<std::pair<std::string, std::optional<double>>>;
-
-Values scores_of(const std::string& yaml) {
+auto scores_of(const std::string& yaml) {
   Session s = open_text(yaml);
   EvalJob job = s.eval_job(s.scene.frames_of(Split::test));
   job.fit_colors = true;
@@ -403,10 +395,9 @@ TEST(Masks, WhatLiesBehindThemChangesNoBitOfATraining) {
 }
 
 TEST(Masks, WhatLiesBehindThemIsInNoScore) {
-  const Values first = scores_of(masked_room(1, -1));
+  const auto first = scores_of(masked_room(1, -1)), open = scores_of(masked_room(0, -1));
   EXPECT_EQ(first, scores_of(masked_room(1, 7)));
   EXPECT_EQ(first, scores_of(masked_room(1, 250)));
-  const Values open = scores_of(masked_room(0, -1));
   ASSERT_EQ(first.size(), open.size());
   EXPECT_NE(first, open);
 }

@@ -34,19 +34,10 @@ std::string errors_of(const std::string& yaml) {
 // What a preset leaves to the device; numbers that are written stay.
 TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
   const auto chosen = [&](const std::string& levels, Device device, const std::string& ends = "") {
-    const ConfigNode tree = parse_config_text(
-        "scene: {type: analytic_room}\n"
-        "passes:\n"
-        "  - sampler: {type: occupancy_grid, max_samples: 0" +
-            ends +
-            "}\n"
-            "    position: {type: hash_grid, levels: " +
-            levels +
-            "}\n"
-            "    field: {type: tiny_mlp}\n"
-            "train: {rays: 0}\n",
-        "room.yaml");
-    RunConfig config = run_config_of(tree, all_plugins());
+    const std::string yaml =
+        "scene: {type: analytic_room}\npasses:\n  - sampler: {type: occupancy_grid, max_samples: 0" + ends +
+        "}\n    position: {type: hash_grid, levels: " + levels + "}\n    field: {type: tiny_mlp}\ntrain: {rays: 0}\n";
+    RunConfig config = run_config_of(parse_config_text(yaml, "room.yaml"), all_plugins());
     const std::size_t lines = choose_for_device(config, device).size();
     const std::string resolved = write_config(resolved_config(config));
     return std::to_string(config.train.rays) + " " + std::to_string(lines) + "\n" + resolved;
@@ -88,8 +79,7 @@ TEST(RunConfig, PrecisionAutoIsSettledWhenASessionOpens) {
 
 TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
   EXPECT_EQ(device_of("cpu"), DeviceId{});
-  EXPECT_EQ(device_of("cuda"), (DeviceId{Device::cuda, 0}));
-  EXPECT_EQ(device_of("cuda:0"), (DeviceId{Device::cuda, 0}));
+  for (const char* first : {"cuda", "cuda:0"}) EXPECT_EQ(device_of(first), (DeviceId{Device::cuda, 0}));
   EXPECT_EQ(device_of("cuda:12"), (DeviceId{Device::cuda, 12}));
   const auto of = [](const std::string& device) {
     return errors_of(hash_config("runtime: {threads: 1, device: " + device + "}\n"));
@@ -105,13 +95,10 @@ TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
 TEST(RunConfig, ResolvedFormReadsBackTheSame) {
   for (const StepCase& step : kStepCases) {
     SCOPED_TRACE(step.name);
-    Diagnostics diagnostics;
-    const RunConfig first =
-        read_run_config(parse_config_text(step.config(step.more), "/tmp/a.yaml"), all_plugins(), diagnostics);
+    const RunConfig first = run_config_of(parse_config_text(step.config(step.more), "/tmp/a.yaml"), all_plugins());
     const ConfigNode resolved = resolved_config(first);
     const RunConfig second =
-        read_run_config(parse_config_text(write_config(resolved), "/elsewhere/run.yaml"), all_plugins(), diagnostics);
-    EXPECT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
+        run_config_of(parse_config_text(write_config(resolved), "/elsewhere/run.yaml"), all_plugins());
     EXPECT_TRUE(config_differences(resolved, resolved_config(second)).empty());
     EXPECT_EQ(second.base_dir, first.base_dir);
   }
@@ -150,10 +137,8 @@ TEST(RunConfig, EveryShippedConfigReadsWithoutError) {
 /// A run with a term of the loss, and a registry that has CUDA tables of every part but `without`.
 struct PartsRun {
   explicit PartsRun(const std::string& device, const std::string& without = "") : registry(make_registry()) {
-    Diagnostics diagnostics;
     const std::string more = "losses: [{type: near_density}]\nruntime: {device: " + device + "}\n";
-    config = read_run_config(parse_config_text(hash_config(more), "test.yaml"), registry, diagnostics);
-    diagnostics.throw_if_errors(ErrorKind::config, "");
+    config = run_config_of(parse_config_text(hash_config(more), "test.yaml"), registry);
     static constexpr int kTable = 0;
     for (const PluginEntry* entry : registry.entries()) {
       const std::string owner = std::string(kind_name(entry->kind)) + " '" + entry->name + "'";
@@ -268,8 +253,7 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   scene.depth_pixels = {0, 7, 9};
   Diagnostics diagnostics;
   const auto use = [&](const std::string& losses, const TrainingDepth& depth) {
-    const RunConfig config =
-        read_run_config(parse_config_text(hash_config(losses), "a.yaml"), all_plugins(), diagnostics);
+    const RunConfig config = run_config_of(parse_config_text(hash_config(losses), "a.yaml"), all_plugins());
     return depth_use(config.losses, depth, diagnostics);
   };
   const std::string term = "losses: [{type: depth}]\n";
@@ -283,12 +267,9 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
   ASSERT_EQ(diagnostics.all().size(), 1u);
   EXPECT_HAS(diagnostics.all()[0].text(), "read them");
-  LossTraits reads_depth;
-  reads_depth.targets = {channel::depth};
-  BuildRequest request;
+  const LossTraits reads_depth{.targets = {channel::depth}};
+  BuildRequest request{.depth_frames = 2, .depth_px = 0};
   request.losses = {{"depth", "memory", true, reads_depth}, {"distortion", "walks", true, {}}};
-  request.depth_frames = 2;
-  request.depth_px = 0;
   EXPECT_EQ(plan_build({}, request, {}).no_losses, std::vector<std::string>{"depth"});
   request.depth_px = 7;
   EXPECT_TRUE(plan_build({}, request, {}).no_losses.empty());
@@ -401,12 +382,9 @@ TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
 
 TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
   const TempDir dir;
-  Diagnostics diagnostics;
   const std::string yaml = hash_config(
-      "losses: [{type: depth}, {type: distortion, from_step: 0.5}]\nreport: "
-      "{log_every_steps: 10, eval_every_s: 0}\n");
-  RunConfig config = read_run_config(parse_config_text(yaml, "a.yaml"), all_plugins(), diagnostics);
-  ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
+      "losses: [{type: depth}, {type: distortion, from_step: 0.5}]\nreport: {log_every_steps: 10, eval_every_s: 0}\n");
+  RunConfig config = run_config_of(parse_config_text(yaml, "a.yaml"), all_plugins());
   config.train.steps = 40;
   TrainRequest request{.out_dir = dir / "run"};
   TrainProgress last;
@@ -466,11 +444,7 @@ struct CountingRegistry {
   Counts opened(const std::string& yaml, bool probe = false) {
     counts->clear();
     Diagnostics diagnostics;
-    SessionOptions options{.probe = probe};
-    RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
-    diagnostics.throw_if_errors(ErrorKind::config, "");
-    const Session session = open_session(std::move(config), registry, options, diagnostics);
-    EXPECT_TRUE(session.pipeline);
+    EXPECT_TRUE(open_text(yaml, registry, SessionOptions{.probe = probe}, diagnostics).pipeline);
     return *counts;
   }
 };
@@ -561,18 +535,13 @@ TEST(DomainMap, ExpandIsTheInverse) {
 // A short training finds where a scene is whose bounds only the cameras show; and rays that go on beyond the bounds.
 
 std::string without_depth(const std::string& more) {
-  std::string yaml =
-      with_scene(hash_config(more),
-                 "{type: analytic_room, with_depth: false, with_labels: false, frames: 24, load: {probe_steps: 128}}");
-  yaml = replaced(yaml, "steps: 200", "steps: 512");
-  return yaml;
+  const std::string yaml = replaced(hash_config(more), "steps: 200", "steps: 512");
+  return with_scene(
+      yaml, "{type: analytic_room, with_depth: false, with_labels: false, frames: 24, load: {probe_steps: 128}}");
 }
 
 Session open_probing(const std::string& yaml, Registry& registry, Diagnostics& diagnostics) {
-  RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  SessionOptions options{.probe = true};
-  return open_session(std::move(config), registry, options, diagnostics);
+  return open_text(yaml, registry, SessionOptions{.probe = true}, diagnostics);
 }
 
 double volume(const Box& box) { return box.size().x * box.size().y * box.size().z; }
@@ -581,9 +550,8 @@ double volume(const Box& box) { return box.size().x * box.size().y * box.size().
 TEST(BoundsProbe, LeavesHeadsAndTheirChannelsToTheRun) {
   Diagnostics d;
   const std::string heads =
-      "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, frequencies: "
-      "2}, "
-      "field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
+      "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, "
+      "frequencies: 2}, field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
       "losses: [{type: cosine_distance, channel: albedo}]\n";
   const std::string yaml = replaced(without_depth(heads), "with_depth: false", "with_depth: false, with_albedo: true");
   const Session s = open_probing(yaml, channel_plugins(), d);

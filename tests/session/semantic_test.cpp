@@ -25,6 +25,19 @@ std::string config_of(const std::string& branch, const std::string& more = "") {
 const std::string kPlugins =
     "position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";
 
+// Every learned tensor of `some` is in `all`, with the bits of its gradient.
+void expect_gradients_of(const Oracle& some, const Oracle& all) {
+  int compared = 0;
+  for (const Tensor<double>& t : some.pipeline->store().all()) {
+    if (!t.learned()) continue;
+    const Tensor<double>* other = all.pipeline->store().find(t.name);
+    ASSERT_NE(other, nullptr) << t.name;
+    ASSERT_TRUE(std::equal(t.grad.data(), t.grad.data() + t.size(), other->grad.data())) << t.name;
+    ++compared;
+  }
+  EXPECT_GT(compared, 8);
+}
+
 // Of the tensors of branch and head: weights are constants to them, and so is which samples are left out.
 TEST(HeadBranch, GradientsAreThoseOfFiniteDifferences) {
   for (const char* more : {"", ", reads_feature: false", ", dropout: 0.3", ", least_weight: 0.02"}) {
@@ -46,22 +59,11 @@ TEST(HeadBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
 // Colour and geometry learn as they do in a scene without labels, to the last bit.
 TEST(HeadBranch, LabelsDoNotShapeTheField) {
   Oracle labelled(config_of(kPlugins));
-  std::string none = config_of(kPlugins);
-  none = with_scene(none, "{type: analytic_room, with_labels: false}");
-  Oracle unlabelled(none);
+  Oracle unlabelled(with_scene(config_of(kPlugins), "{type: analytic_room, with_labels: false}"));
   ASSERT_FALSE(unlabelled.pipeline->has_semantics());
   EXPECT_GT(labelled.gradients().semantic, 0);
   unlabelled.gradients();
-  int compared = 0;
-  for (const Tensor<double>& t : unlabelled.pipeline->store().all()) {
-    if (!t.learned()) continue;
-    const Tensor<double>* other = labelled.pipeline->store().find(t.name);
-    ASSERT_NE(other, nullptr) << t.name;
-    for (std::int64_t i = 0; i < t.size(); ++i)
-      ASSERT_EQ(t.grad.data()[i], other->grad.data()[i]) << t.name << " " << i;
-    ++compared;
-  }
-  EXPECT_GT(compared, 5);
+  expect_gradients_of(unlabelled, labelled);
 }
 
 // |change of a logit| <= sum of the weights left out times the largest logit of a sample.
@@ -183,26 +185,16 @@ TEST(Heads, GradientsAreThoseOfFiniteDifferences) {
 
 // With a semantic branch or without one: colour, geometry and class logits learn as they do alone, to the last bit.
 TEST(Heads, ChangeNoOtherGradient) {
-  for (const auto& [of_pass, of_branch] :
-       std::vector<std::pair<std::string, std::string>>{{"", ""},
-                                                        {"", ", reads_feature: true"},
-                                                        {kSemanticBranch, ""},
-                                                        {kSemanticBranch, ", reads_feature: true"}}) {
-    Oracle with(head_config_of(head_yaml("", of_branch), of_pass), channel_plugins()),
-        without(head_config_of("", of_pass), channel_plugins());
-    const StepLosses a = with.gradients(), b = without.gradients();
-    EXPECT_EQ(a.color, b.color);
-    EXPECT_EQ(a.semantic, b.semantic);
-    EXPECT_GT(a.terms[0], 0);
-    int compared = 0;
-    for (const Tensor<double>& t : without.pipeline->store().all()) {
-      if (!t.learned()) continue;
-      const Tensor<double>* other = with.pipeline->store().find(t.name);
-      ASSERT_NE(other, nullptr) << t.name;
-      ASSERT_TRUE(std::equal(t.grad.data(), t.grad.data() + t.size(), other->grad.data())) << t.name;
-      ++compared;
+  for (const std::string& of_pass : {std::string(), kSemanticBranch}) {
+    for (const std::string of_branch : {"", ", reads_feature: true"}) {
+      Oracle with(head_config_of(head_yaml("", of_branch), of_pass), channel_plugins()),
+          without(head_config_of("", of_pass), channel_plugins());
+      const StepLosses a = with.gradients(), b = without.gradients();
+      EXPECT_EQ(a.color, b.color);
+      EXPECT_EQ(a.semantic, b.semantic);
+      EXPECT_GT(a.terms[0], 0);
+      expect_gradients_of(without, with);
     }
-    EXPECT_GT(compared, 8);
   }
 }
 
@@ -210,6 +202,8 @@ TEST(Heads, TilesAndLanesChangeNoGradient) {
   expect_same_gradients(head_config_of(head_yaml() + "runtime: {lanes: 1, tile_rays: 24}\n"),
                         head_config_of(head_yaml() + "runtime: {lanes: 3, tile_rays: 4}\n"));
 }
+
+const FrameOptions kOfAlbedo{.channels = {"albedo"}};
 
 double mean_cosine(const FrameChannel& map, const std::vector<float>& rgb) {
   double sum = 0;
@@ -234,12 +228,8 @@ TEST(Heads, LearnTheChannelAndRenderIt) {
   const Session& session = run.session;
   const double first = run.to(1).terms[0];
   EXPECT_LT(run.to(200).terms[0], 0.5 * first);
-  FrameOptions options;
-  options.channels = {"albedo"};
   const int test = session.scene.frames_of(Split::test).front();
-  const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(test)];
-  const RenderedFrame frame = render_frame(*session.pipeline, {info.camera, info.world_from_camera, false},
-                                           session.limits, session.plan.class_of_logit, {}, options);
+  const RenderedFrame frame = render_frame_of(session, test, kOfAlbedo);
   ASSERT_EQ(frame.channels.size(), 1U);
   EXPECT_EQ(frame.channels[0].cols, 3);
   std::vector<float> truth;
@@ -256,14 +246,7 @@ TEST(Heads, AChannelThatIsNotFiniteIsNamed) {
   ASSERT_NE(bias, nullptr);
   bias->value.data()[1] = std::numeric_limits<float>::quiet_NaN();
   session.pipeline->executor().upload(0);
-  const FrameInfo& info = session.scene.info.frames.front();
-  FrameOptions options;
-  options.channels = {"albedo"};
-  EXPECT_HAS(error_of([&] {
-               (void)render_frame(*session.pipeline, {info.camera, info.world_from_camera, false}, session.limits,
-                                  session.plan.class_of_logit, {}, options);
-             }),
-             "channel of a head");
+  EXPECT_HAS(error_of([&] { (void)render_frame_of(session, 0, kOfAlbedo); }), "channel of a head");
 }
 
 TEST(ChannelAxes, KeepWhatTheRowsHaveMostOf) {
@@ -296,7 +279,6 @@ TEST(ChannelAxes, AChannelOfZerosIsNamed) {
 
 // The axes are state: a session that goes on takes those of the checkpoint, and its frames with them.
 TEST(ChannelAxes, GoWithTheCheckpoint) {
-  SessionOptions options;
   const std::string yaml = head_config_of(head_yaml(", width: 2"));
   const auto opened = [&] { return open_text(yaml, channel_plugins()); };
   Session first = opened();
@@ -328,20 +310,20 @@ TEST(Heads, WrongSettingsAreNamed) {
   const auto expect = [&](const std::string& more, const std::string& said) {
     EXPECT_HAS(error_of([&] { (void)open_text(head_config_of(more), channel_plugins()); }), said);
   };
-  const std::string head = "{type: feature_map, channel: albedo, " + kBranch + "}}";
+  const auto map = [](const std::string& keys) { return "{type: feature_map, " + keys + kBranch + "}}"; };
+  const auto heads = [](const std::string& list) { return "heads: [" + list + "]\n"; };
+  const std::string head = map("channel: albedo, ");
   expect("heads: {type: feature_map}\n", "heads: expected a list of heads");
-  expect("heads: [{type: feature_map, channel: albedo}]\n", "heads.0: key 'branch' is missing");
-  expect("heads: [{type: feature_mpa, channel: albedo}]\n", "did you mean 'feature_map'?");
-  expect("heads: [{type: feature_map, chanel: albedo, " + kBranch + "}}]\n", "did you mean 'channel'?");
-  expect("heads: [{type: feature_map, " + kBranch + "}}]\n", "heads.0.channel: the head names no channel");
-  expect("heads: [{type: feature_map, channel: depth, " + kBranch + "}}]\n", "'depth' is a channel of the framework");
-  expect("heads: [{type: feature_map, channel: A-B, " + kBranch + "}}]\n", "'A-B' cannot name a channel");
-  expect("heads: [" + head + ", " + head + "]\n", "heads.1.channel: 'albedo' is made by heads.0 already");
-  expect("losses: [{type: cosine_distance, channel: clip}]\n",
-         "'cosine_distance' reads the channel 'clip', which no head makes");
+  expect(heads("{type: feature_map, channel: albedo}"), "heads.0: key 'branch' is missing");
+  expect(heads("{type: feature_mpa, channel: albedo}"), "did you mean 'feature_map'?");
+  expect(heads(map("chanel: albedo, ")), "did you mean 'channel'?");
+  expect(heads(map("")), "heads.0.channel: the head names no channel");
+  expect(heads(map("channel: depth, ")), "'depth' is a channel of the framework");
+  expect(heads(map("channel: A-B, ")), "'A-B' cannot name a channel");
+  expect(heads(head + ", " + head), "heads.1.channel: 'albedo' is made by heads.0 already");
+  expect("losses: [{type: cosine_distance, channel: clip}]\n", "reads the channel 'clip', which no head makes");
   expect(head_yaml(", width: 4"), "heads.0.width: 4 columns are asked for, and the dataset's channel 'albedo' has 3");
-  expect("heads: [{type: feature_map, channel: clip, " + kBranch + "}}]\nruntime: {keep: [head_clip]}\n",
-         "heads.0.width: no training frame has a channel 'clip'");
+  expect(heads(map("channel: clip, ")) + "runtime: {keep: [head_clip]}\n", "no training frame has a channel 'clip'");
 }
 
 TEST(Heads, OneThatNoLossReadsIsLeftOutAndKeptByName) {
@@ -450,9 +432,7 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
                "labels are " + std::string(c.kind));
     EXPECT_HAS(describe_session(s), s.chosen_by_labels[0]);
     // What a run keeps names one branch, and opens as it is whatever the labels are then.
-    Diagnostics diagnostics;
-    RunConfig again = read_run_config(resolved_config(s.config), all_plugins(), diagnostics);
-    EXPECT_EQ(diagnostics.error_count(), 0);
+    RunConfig again = run_config_of(resolved_config(s.config), all_plugins());
     EXPECT_TRUE(choose_branches(again, {1000, 1, 0, 0}).empty());
     EXPECT_EQ(again.passes[0].branch()->position.entry->name, c.position);
   }
@@ -490,9 +470,8 @@ TEST(BranchChoice, AListThatLeavesLabelsOutOrNamesThemTwiceIsRefused) {
 
 TEST(BranchChoice, WhatLabelsCannotShowIsSaid) {
   const auto said = [&](const LabelStatistics& statistics) {
-    Diagnostics diagnostics;
-    RunConfig config = read_run_config(parse_config_text(branches_config_of(kThree, "frames: all"), "a.yaml"),
-                                       all_plugins(), diagnostics);
+    RunConfig config =
+        run_config_of(parse_config_text(branches_config_of(kThree, "frames: all"), "a.yaml"), all_plugins());
     return choose_branches(config, statistics).at(0);
   };
   EXPECT_HAS(said({1000, 1000, 1900, 1805}), "95 % of neighbouring labels agree");
@@ -511,30 +490,21 @@ TEST(RaySourceChoice, TheLabelsDecideWhereItIsLeftOpen) {
             "train: {rays: 64, ray_source: auto, labelled_share: 0.25}\n",
         keep);
   };
-  struct Case {
-    Session s;
-    RaySourceKind kind;
-    std::string line;
+  const auto expect = [](const Session& s, RaySourceKind kind, const std::string& because) {
+    SCOPED_TRACE(because);
+    EXPECT_EQ(s.config.train.ray_source, kind);
+    ASSERT_EQ(s.chosen_by_labels.size(), 1u);
+    const std::string name = choice_name(kind);
+    EXPECT_HAS(s.chosen_by_labels[0], "train.ray_source: " + name + " was chosen, because ", because);
+    EXPECT_HAS(write_config(resolved_config(s.config)), "ray_source: " + name);
+    (void)s.make_ray_source();
   };
-  std::vector<Case> cases;
-  cases.push_back({opened("frames: none"), RaySourceKind::all_images,
-                   "train.ray_source: all_images was chosen, because no training pixel has a label"});
-  cases.push_back(
-      {opened("frames: none", {"semantics", "absent_classes"}), RaySourceKind::label_balanced,
-       "train.ray_source: label_balanced was chosen, because labels may come; until then rays come from all "
-       "pixels"});
-  cases.push_back({opened("frames: 1"), RaySourceKind::label_balanced,
-                   "of the training pixels have a label; they get 25 % of the rays"});
-  cases.push_back({opened("frames: all"), RaySourceKind::label_balanced, "get 25 % of the rays"});
-  for (const Case& c : cases) {
-    SCOPED_TRACE(c.line);
-    EXPECT_EQ(c.s.config.train.ray_source, c.kind);
-    ASSERT_EQ(c.s.chosen_by_labels.size(), 1u);
-    EXPECT_HAS(c.s.chosen_by_labels[0], c.line);
-    const std::string name = choice_name(c.kind);
-    EXPECT_HAS(write_config(resolved_config(c.s.config)), "ray_source: " + name);
-    (void)c.s.make_ray_source();
-  }
+  expect(opened("frames: none"), RaySourceKind::all_images, "because no training pixel has a label");
+  expect(opened("frames: none", {"semantics", "absent_classes"}), RaySourceKind::label_balanced,
+         "because labels may come; until then rays come from all pixels");
+  expect(opened("frames: 1"), RaySourceKind::label_balanced,
+         "of the training pixels have a label; they get 25 % of the rays");
+  expect(opened("frames: all"), RaySourceKind::label_balanced, "get 25 % of the rays");
 }
 
 TEST(RaySourceChoice, EvenlyDrawnRaysWarnWhereTheyHardlyMeetALabel) {
@@ -599,21 +569,19 @@ TEST(LabelRays, StandFirstInEveryTileAndAreCountedAlikeForAnyTiles) {
       const std::int64_t first = label_only_rays(0.3, begin, end);
       for (std::int64_t row = begin; row < begin + first; ++row) EXPECT_NE(apart.batch.label[row], kVoid) << row;
       // The same rays as without, in another order at most.
-      std::vector<float> with(apart.batch.target.begin() + 3 * begin, apart.batch.target.begin() + 3 * end);
-      std::vector<float> without(together.batch.target.begin() + 3 * begin, together.batch.target.begin() + 3 * end);
-      std::sort(with.begin(), with.end());
-      std::sort(without.begin(), without.end());
-      EXPECT_EQ(with, without);
+      const auto colors = [&](const std::vector<float>& target) {
+        return std::multiset<float>(target.begin() + 3 * begin, target.begin() + 3 * end);
+      };
+      EXPECT_EQ(colors(apart.batch.target), colors(together.batch.target));
       labelled += first;
     }
     EXPECT_EQ(labelled, 7);
     // A message about a row names the pixel that stands there.
-    std::vector<std::string> places;
-    for (std::int64_t row = 0; row < 26; ++row) places.push_back(apart.rays->place_of_row(3, row));
-    std::vector<std::string> others;
-    for (std::int64_t row = 0; row < 26; ++row) others.push_back(together.rays->place_of_row(3, row));
-    std::sort(places.begin(), places.end());
-    std::sort(others.begin(), others.end());
+    std::multiset<std::string> places, others;
+    for (std::int64_t row = 0; row < 26; ++row) {
+      places.insert(apart.rays->place_of_row(3, row));
+      others.insert(together.rays->place_of_row(3, row));
+    }
     EXPECT_EQ(places, others);
   }
 }

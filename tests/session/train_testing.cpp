@@ -41,12 +41,7 @@ void validate(const AnalyticRoomParams&, Diagnostics&) {}
 class AnalyticRoom final : public Dataset {
  public:
   AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&) : room_(p) {
-    testkit::AnalyticSceneOptions options{.frames = p.frames,
-                                          .width_px = p.width_px,
-                                          .height_px = p.height_px,
-                                          .with_depth = p.with_depth,
-                                          .with_labels = p.with_labels};
-    inner_ = testkit::make_analytic_scene(options);
+    inner_ = testkit::make_analytic_scene({p.frames, p.width_px, p.height_px, p.with_depth, p.with_labels});
   }
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
@@ -103,12 +98,7 @@ void describe(ParamVisitor&, AlbedoParams&) {}
 class Albedo final : public LossOf<Albedo, AlbedoParams> {
  public:
   using LossOf::LossOf;
-  LossTraits traits() const override {
-    LossTraits traits;
-    traits.targets = {"albedo"};
-    traits.moves = {channel::color};
-    return traits;
-  }
+  LossTraits traits() const override { return {.targets = {"albedo"}, .moves = {channel::color}}; }
   template <class Real>
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
              const RayGradients<Real>& gradients) const {
@@ -182,15 +172,22 @@ std::string two_pass_config(const std::string& more) {
          more;
 }
 
+Session open_text(const std::string& yaml, Registry& registry, const SessionOptions& options,
+                  Diagnostics& diagnostics) {
+  return open_session(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry, options, diagnostics);
+}
 Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep, Ranks* ranks) {
   Diagnostics diagnostics;
-  RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  SessionOptions options{.keep = keep, .ranks = ranks};
-  return open_session(std::move(config), registry, options, diagnostics);
+  return open_text(yaml, registry, SessionOptions{.keep = keep, .ranks = ranks}, diagnostics);
 }
 Session open_text(const std::string& yaml, const std::vector<std::string>& keep) {
   return open_text(yaml, all_plugins(), keep);
+}
+
+RenderedFrame render_frame_of(const Session& session, int frame, const FrameOptions& options) {
+  const FrameInfo& info = session.scene.info.frames.at(static_cast<std::size_t>(frame));
+  return render_frame(*session.pipeline, {info.camera, info.world_from_camera, session.plan.undistortion},
+                      session.limits, session.plan.class_of_logit, {}, options);
 }
 
 const LeftOut& left_out_row(const Session& session, const std::string& component) {
@@ -201,6 +198,11 @@ const LeftOut& left_out_row(const Session& session, const std::string& component
 
 std::string replaced(std::string yaml, std::string_view from, const std::string& to) {
   return yaml.replace(yaml.find(from), from.size(), to);  // throws where `from` is not there
+}
+
+std::string with_rays(std::string yaml, int rays) {
+  const std::size_t at = yaml.find("rays: ") + 6;
+  return yaml.replace(at, yaml.find_first_of(",}", at) - at, std::to_string(rays));
 }
 
 std::string with_scene(std::string yaml, const std::string& scene) {

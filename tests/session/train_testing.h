@@ -29,6 +29,9 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
                   Ranks* ranks = nullptr);
 /// The same with all_plugins().
 Session open_text(const std::string& yaml, const std::vector<std::string>& keep = {});
+Session open_text(const std::string& yaml, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics);
+/// A frame of the session's scene as rendering makes it.
+RenderedFrame render_frame_of(const Session& session, int frame, const FrameOptions& options = {});
 /// A session and its trainer.
 struct TestRun {
   TestRun(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {})
@@ -49,6 +52,9 @@ const LeftOut& left_out_row(const Session& session, const std::string& component
 
 /// `yaml` with `to` in the place of its first `from`, which must be there.
 std::string replaced(std::string yaml, std::string_view from, const std::string& to);
+
+/// `yaml` with another number of rays a step.
+std::string with_rays(std::string yaml, int rays);
 
 /// `yaml`, whose scene is {type: analytic_room}, with another.
 std::string with_scene(std::string yaml, const std::string& scene);

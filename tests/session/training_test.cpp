@@ -78,8 +78,7 @@ TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
   for (int i = 0; i < 2; ++i) {
     EXPECT_EQ(together[i].bits, alone[i].bits);
     EXPECT_EQ(together[i].losses, alone[i].losses);
-    EXPECT_EQ(together[i].notes, alone[i].notes);
-    EXPECT_EQ(together[i].loading, alone[i].loading);
+    EXPECT_EQ(std::tie(together[i].notes, together[i].loading), std::tie(alone[i].notes, alone[i].loading));
     EXPECT_FALSE(alone[i].loading.empty());
     EXPECT_EQ(together[i].from, std::set<std::thread::id>{ids[i]});
   }
@@ -197,15 +196,15 @@ TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
   const int frame = training.session().drawn_frames().front();
   const int test_frame = training.session().scene.frames_of(Split::test).front();
   std::vector<std::int16_t> labels(48 * 36, 0);
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(test_frame, labels); }), "it is not a training frame");
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(-1, labels); }), "it is not a training frame");
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(frame, {0, 1}); }), "2 values for 48 x 36 pixels");
+  const auto refusal = [&](int of, const std::vector<std::int16_t>& given) {
+    return error_of(ErrorKind::data, [&] { training.set_labels(of, given); });
+  };
+  for (const int other : {test_frame, -1}) EXPECT_HAS(refusal(other, labels), "it is not a training frame");
+  EXPECT_HAS(refusal(frame, {0, 1}), "2 values for 48 x 36 pixels");
   labels[50] = 5;
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(frame, labels); }),
-             "pixel x 2, y 1: 5 is not a class; there are 5");
+  EXPECT_HAS(refusal(frame, labels), "pixel x 2, y 1: 5 is not a class; there are 5");
   labels[50] = 3;
-  const std::string absent = error_of(ErrorKind::data, [&] { training.set_labels(frame, labels); });
-  EXPECT_HAS(absent, "no label had class 'ball' when the session opened",
+  EXPECT_HAS(refusal(frame, labels), "no label had class 'ball' when the session opened",
              "open it with runtime.keep: [semantics, absent_classes]");
   training.train(4);
   EXPECT_EQ(bits_of(training), bits_after(yaml, 4));
@@ -258,10 +257,11 @@ LabelEvent add(const std::string& id, const std::string& name) {
 }
 
 LabelEvent rename(const std::string& id, const std::string& from, const std::string& to) {
-  LabelEvent event = add(id, from);
-  event.kind = LabelEventKind::change_class;
-  event.new_name = to;
-  return event;
+  return LabelEvent{.id = id, .kind = LabelEventKind::change_class, .class_name = from, .new_name = to};
+}
+
+LabelEvent undo(const std::string& id, const std::string& of) {
+  return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
 }
 
 LabelEvent click(const std::string& id, const std::string& frame, const std::string& name, PixelPoint at) {
@@ -276,13 +276,9 @@ void write_log(const std::string& path, const std::vector<LabelEvent>& events) {
 }
 
 // The room without labels of its own, or with them and `labels` of the configuration.
-std::string yaml_of(const std::string& labels, bool own = false, const std::string& more = "") {
-  std::string yaml =
-      replaced(replaced(two_pass_config(more), "analytic_room}",
-                        std::string("analytic_room") + (own ? "" : ", with_labels: false, with_classes: false") +
-                            ", labels: {" + labels + "}}"),
-               "rays: 64}", "rays: 64, ray_source: label_balanced}");
-  return yaml;
+std::string yaml_of(const std::string& labels, bool own = false) {
+  const std::string bare = own ? "" : ", with_labels: false, with_classes: false";
+  return balanced(with_scene(two_pass_config(), "{type: analytic_room" + bare + ", labels: {" + labels + "}}"));
 }
 
 struct Room {
@@ -295,7 +291,7 @@ struct Room {
     return session.scene.info.frames[session.drawn_frames().front()].name;
   }
   std::unique_ptr<Trainer> open(const std::string& yaml) {
-    return std::make_unique<Trainer>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
+    return std::make_unique<Trainer>(config_of(yaml, registry), registry);
   }
   std::string refusal(const std::string& yaml) {
     return error_of([&] { (void)open(yaml); });
@@ -370,10 +366,7 @@ TEST(ClicksTraining, LabelsThatComeSwitchTheBalancedSourceOn) {
   training->advance();
   EXPECT_GT(training->losses().semantic, 0);
   // Undone again: as before the first click.
-  LabelEvent undo = add("3", "");
-  undo.kind = LabelEventKind::undo;
-  undo.of = "2";
-  clicks.apply(undo);
+  clicks.apply(undo("3", "2"));
   training->set_clicks(clicks, std::vector<int>{frame});
   EXPECT_EQ(labelled_pixels(training->session()), 0);
   EXPECT_TRUE(training->session().labels.frames[frame].empty());
@@ -461,10 +454,7 @@ TEST(TrainedClasses, NamesThatClicksGiveMayChange) {
   EXPECT_EQ(compared({}, {}), "");
   EXPECT_EQ(compared({}, {add("1", "sofa")}), "") << "named since";
   EXPECT_EQ(compared({add("1", "sofa")}, {add("1", "sofa"), rename("2", "sofa", "couch")}), "") << "renamed since";
-  LabelEvent undo = add("2", "");
-  undo.kind = LabelEventKind::undo;
-  undo.of = "1";
-  EXPECT_EQ(compared({add("1", "sofa")}, {add("1", "sofa"), undo}), "") << "undone since; it keeps its place";
+  EXPECT_EQ(compared({add("1", "sofa")}, {add("1", "sofa"), undo("2", "1")}), "") << "undone since; it keeps its place";
   EXPECT_HAS(compared({add("1", "sofa")}, {}), "class 2 was 'sofa', and is 'unnamed 2' now");
   EXPECT_HAS(compared({}, {}, 4), "class 4 was not in the table, and is 'unnamed 4' now");
   EXPECT_HAS(compared({}, {}, 2), "class 3 was 'unnamed 3', and is not in the table now");
@@ -473,17 +463,14 @@ TEST(TrainedClasses, NamesThatClicksGiveMayChange) {
 TEST(TrainedClasses, TheScenesOwnNamesMayNot) {
   SceneInfo scene{.classes = ClassTable({{0, "void", {}, true}, {1, "door", {}, false}})};
   const std::optional<Annotations> clicks = replay(scene, 3, {add("1", "sofa")}, "now");
-  const auto compare = [&](const std::string& yaml) {
+  const auto compare_named = [&](const std::string& first, const std::string& second) {
+    const std::string yaml = "[{id: 0, name: void, ignore: true}, {id: 1, name: " + first +
+                             "}, {id: 2, name: " + second + "}, {id: 3, name: unnamed 3}]";
     return error_of([&] { require_class_table(yaml, clicks->classes(), clicks); });
   };
-  const std::string rest = ", {id: 2, name: x}, {id: 3, name: unnamed 3}]";
-  EXPECT_EQ(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: door}" + rest), "");
-  EXPECT_HAS(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: wall}" + rest),
-             "class 1 was 'wall', and is "
-             "'door' now; restore");
-  EXPECT_HAS(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: door}, {id: 2, name: x, ignore: true}, {id: 3, "
-                     "name: unnamed 3}]"),
-             "class 2 was 'x', ignored, and is 'sofa' now");
+  EXPECT_EQ(compare_named("door", "x"), "");
+  EXPECT_HAS(compare_named("wall", "x"), "class 1 was 'wall', and is 'door' now; restore");
+  EXPECT_HAS(compare_named("door", "x, ignore: true"), "class 2 was 'x', ignored, and is 'sofa' now");
 }
 
 }  // namespace
