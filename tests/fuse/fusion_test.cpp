@@ -25,16 +25,25 @@ using Row = std::array<double, 3>;
 
 ClassVotes three(double floor = 1e-6, double confidence = 0.8) { return {3, floor, HardLikelihood(confidence, 3)}; }
 
+void expect_row(const Row& found, const Row& want, double tolerance) {
+  for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(found[c], want[c], tolerance) << c;
+}
+Row bayesian(const ClassVotes& votes) {
+  Row p{1, 1, 1};
+  votes.bayesian(p);
+  return p;
+}
+Row average(const ClassVotes& votes) {
+  Row p{1, 1, 1};
+  votes.average(p);
+  return p;
+}
+
 TEST(ClassVotes, BayesianIsTheProduct) {
   ClassVotes votes = three();
   votes.add(Row{0.5, 0.3, 0.2});
   votes.add(Row{0.1, 0.6, 0.3});
-  // 0.05, 0.18, 0.06 of 0.29.
-  Row p{};
-  votes.bayesian(p);
-  EXPECT_NEAR(p[0], 5.0 / 29, 1e-14);
-  EXPECT_NEAR(p[1], 18.0 / 29, 1e-14);
-  EXPECT_NEAR(p[2], 6.0 / 29, 1e-14);
+  expect_row(bayesian(votes), {5.0 / 29, 18.0 / 29, 6.0 / 29}, 1e-14);  // 0.05, 0.18, 0.06 of 0.29
   EXPECT_EQ(votes.bayesian_label(kVoid), 1);
   EXPECT_EQ(votes.views(), 2);
 }
@@ -44,11 +53,7 @@ TEST(ClassVotes, AverageIsTheMean) {
   votes.add(Row{0.5, 0.3, 0.2});
   votes.add(Row{0.1, 0.6, 0.3});
   votes.add(Row{0.9, 0.0, 0.0});  // a tenth belongs to no class
-  Row p{};
-  votes.average(p);
-  EXPECT_NEAR(p[0], 0.5, 1e-15);
-  EXPECT_NEAR(p[1], 0.3, 1e-15);
-  EXPECT_NEAR(p[2], 0.5 / 3, 1e-15);
+  expect_row(average(votes), {0.5, 0.3, 0.5 / 3}, 1e-15);
   EXPECT_EQ(votes.average_label(kVoid), 0);
 }
 
@@ -60,11 +65,9 @@ TEST(ClassVotes, FloorKeepsOneViewFromRulingOutAClass) {
     for (int i = 0; i < 9; ++i) votes.add(Row{0.9, 0.1, 0});
     votes.add(Row{0, 1, 0});
     EXPECT_EQ(votes.bayesian_label(kVoid), label) << floor;
-    Row p{};
-    votes.bayesian(p);
     const double zero = std::pow(0.9, 9) * floor, one = std::pow(0.1, 9);
     const double two = std::pow(floor, 10);
-    EXPECT_NEAR(p[0], zero / (zero + one + two), 1e-12);
+    EXPECT_NEAR(bayesian(votes)[0], zero / (zero + one + two), 1e-12);
     EXPECT_EQ(votes.average_label(kVoid), 0);
   }
 }
@@ -73,23 +76,14 @@ TEST(ClassVotes, LabelsBecomeAConfusionLikelihood) {
   ClassVotes votes = three(1e-6, 0.8);
   votes.add(std::int16_t{2});
   votes.add(Row{0.5, 0.3, 0.2});
-  // 0.1 * 0.5, 0.1 * 0.3, 0.8 * 0.2 of 0.24.
-  Row p{};
-  votes.bayesian(p);
-  EXPECT_NEAR(p[0], 5.0 / 24, 1e-14);
-  EXPECT_NEAR(p[1], 3.0 / 24, 1e-14);
-  EXPECT_NEAR(p[2], 16.0 / 24, 1e-14);
-  votes.average(p);
-  EXPECT_NEAR(p[0], 0.3, 1e-15);
-  EXPECT_NEAR(p[1], 0.2, 1e-15);
-  EXPECT_NEAR(p[2], 0.5, 1e-15);
+  expect_row(bayesian(votes), {5.0 / 24, 3.0 / 24, 16.0 / 24}, 1e-14);  // 0.1 * 0.5, 0.1 * 0.3, 0.8 * 0.2 of 0.24
+  expect_row(average(votes), {0.3, 0.2, 0.5}, 1e-15);
 }
 
 TEST(ClassVotes, ManyViewsNeitherOverflowNorVanish) {
   ClassVotes votes = three();
   for (int i = 0; i < 100000; ++i) votes.add(Row{0.4, 0.35, 0.25});
-  Row p{};
-  votes.bayesian(p);
+  const Row p = bayesian(votes);
   EXPECT_DOUBLE_EQ(p[0], 1);
   EXPECT_DOUBLE_EQ(p[0] + p[1] + p[2], 1);
 }
@@ -113,11 +107,8 @@ TEST(ClassVotes, NothingAddedIsVoid) {
   votes.clear();
   EXPECT_EQ(votes.bayesian_label(0), kVoid);
   EXPECT_EQ(votes.average_label(0), kVoid);
-  Row p{1, 1, 1};
-  votes.bayesian(p);
-  EXPECT_EQ(p, Row{});
-  votes.average(p);
-  EXPECT_EQ(p, Row{});
+  EXPECT_EQ(bayesian(votes), Row{});
+  EXPECT_EQ(average(votes), Row{});
 }
 
 TEST(ClassVotes, AConfidenceThatSaysNothingIsRefused) {
@@ -254,13 +245,10 @@ TEST(Correspondence, BoundsAreThePixelsEdges) {
   ASSERT_TRUE(hit);
   EXPECT_EQ(hit->column, 0);
   EXPECT_EQ(hit->row, 4);
-  EXPECT_FALSE(project_point(c, {}, {-0.5 - 1e-9, 0, 1}));
-  EXPECT_FALSE(project_point(c, {}, {0.5, 0, 1}));
   EXPECT_TRUE(project_point(c, {}, {0.5 - 1e-9, 0, 1}));
-  EXPECT_FALSE(project_point(c, {}, {0, 0, -1}));  // behind
-  EXPECT_FALSE(project_point(c, {}, {0, 0, 0}));
-  EXPECT_FALSE(project_point(c, {}, {NAN, 0, 1}));
-  EXPECT_FALSE(project_point(c, {}, {1e300, 0, 1e-300}));
+  for (const Vec3d outside : {Vec3d{-0.5 - 1e-9, 0, 1}, {0.5, 0, 1}, {NAN, 0, 1}, {1e300, 0, 1e-300}})
+    EXPECT_FALSE(project_point(c, {}, outside)) << outside.x;
+  for (const double behind : {-1.0, 0.0}) EXPECT_FALSE(project_point(c, {}, {0, 0, behind}));
 }
 
 TEST(Correspondence, AnotherDepthIsAnotherSurface) {
@@ -269,17 +257,9 @@ TEST(Correspondence, AnotherDepthIsAnotherSurface) {
   std::vector<float> depth(64, 2.0F);
   const PosedDepth first{camera(), {}, depth};
   const Vec3d point = *surface_point(first, 4, 4);
-  for (const auto& [z, seen] : {std::pair{2.06F, true},
-                                {1.94F, true},
-                                {2.08F, false},
-                                {1.92F, false},
-                                {0.5F, false},
-                                {0.0F, false},
-                                {-1.0F, false},
-                                {INFINITY, false},
-                                {NAN, false}}) {
+  for (const float z : {2.06F, 1.94F, 2.08F, 1.92F, 0.5F, 0.0F, -1.0F, INFINITY, NAN}) {
     std::vector<float> other(64, z);
-    EXPECT_EQ(seen_at({camera(), {}, other}, point, params).has_value(), seen) << z;
+    EXPECT_EQ(seen_at({camera(), {}, other}, point, params).has_value(), z == 2.06F || z == 1.94F) << z;
     if (!(z > 0) || !std::isfinite(z)) {
       EXPECT_FALSE(surface_point({camera(), {}, other}, 0, 0)) << z;
     }
@@ -325,9 +305,7 @@ TEST(Correspondence, AgreesWithMatrices) {
     const Eigen::Vector3d image = k * in_b / in_b.z();
     const std::optional<Vec3d> point = surface_point({c, ours[0], depth}, column, row);
     ASSERT_TRUE(point);
-    EXPECT_NEAR(point->x, world.x(), 1e-12);
-    EXPECT_NEAR(point->y, world.y(), 1e-12);
-    EXPECT_NEAR(point->z, world.z(), 1e-12);
+    EXPECT_LT(length(*point - Vec3d{world.x(), world.y(), world.z()}), 1e-12);
     const auto hit = project_point(c, ours[1], *point);
     const bool inside = in_b.z() > 0 && image.x() >= 0 && image.x() < 64 && image.y() >= 0 && image.y() < 64;
     ASSERT_EQ(hit.has_value(), inside);
@@ -391,18 +369,11 @@ TrainingLabels::Frame hard(std::vector<std::int16_t> labels) { return {LabelMap(
 
 /// Views 8 pixels wide and 1 high, focal length 8: at 2 m a pixel is 0.25 m.
 struct FusionRow {
-  Camera camera;
+  Camera camera{8, 1, 8, 8, 4, 0.5};
   std::vector<std::vector<float>> depth;
   std::vector<TrainingLabels::Frame> prediction;
   std::vector<double> x;
 
-  FusionRow() {
-    camera.width_px = 8;
-    camera.height_px = 1;
-    camera.fx = camera.fy = 8;
-    camera.cx = 4;
-    camera.cy = 0.5;
-  }
   void add(double x_m, std::vector<float> depth_m, TrainingLabels::Frame labels) {
     x.push_back(x_m);
     depth.push_back(std::move(depth_m));
@@ -421,35 +392,22 @@ struct FusionRow {
 std::vector<float> wall(float z = 2) { return std::vector<float>(8, z); }
 using Labels = std::vector<std::int16_t>;
 
-SoftMap soft(const std::vector<std::array<float, 3>>& rows) {
+// A row is three digits, in eighths: exact in binary16.
+TrainingLabels::Frame soft(const std::vector<std::string>& rows) {
   SoftMap map(rows.size(), 3);
-  for (std::size_t i = 0; i < rows.size(); ++i) map.set_row(i, rows[i]);
-  return map;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    std::array<float, 3> row{};
+    for (std::size_t c = 0; c < 3; ++c) row[c] = static_cast<float>(rows[i][c] - '0') / 8;
+    map.set_row(i, row);
+  }
+  return {{}, map};
 }
 
 TEST(LabelFusion, TwoViewsOfAWallByHand) {
   FusionRow row;
-  // Column i of view 0 is column i - 2 of view 1. Probabilities are whole 256ths, exact in binary16.
-  row.add(0, wall(),
-          {{},
-           soft({{0.5F, 0.25F, 0.25F},
-                 {0.5F, 0.25F, 0.25F},
-                 {0.5F, 0.25F, 0.25F},
-                 {0.5F, 0.25F, 0.25F},
-                 {0.5F, 0.5F, 0},
-                 {0.25F, 0.5F, 0.25F},
-                 {0, 0, 0},
-                 {1, 0, 0}})});
-  row.add(0.5, wall(),
-          {{},
-           soft({{0.125F, 0.75F, 0.125F},
-                 {0.5F, 0.25F, 0.25F},
-                 {0, 0.25F, 0.75F},
-                 {0, 0, 0},
-                 {0.125F, 0.125F, 0.75F},
-                 {0, 1, 0},
-                 {0, 0, 1},
-                 {0, 0, 1}})});
+  // Column i of view 0 is column i - 2 of view 1.
+  row.add(0, wall(), soft({"422", "422", "422", "422", "440", "242", "000", "800"}));
+  row.add(0.5, wall(), soft({"161", "422", "026", "000", "116", "080", "008", "008"}));
   const FusedFrame out = row.fuse(0, 3);
   EXPECT_EQ(out.label[kMonocular], (Labels{0, 0, 0, 0, 0, 1, kVoid, 0}));
   // 2: 0.0625, 0.1875, 0.03125 and means 0.3125, 0.5, 0.1875 | 3: agrees | 4: (0, 0.125, 0) and (0.25, 0.375, 0.375)
@@ -509,16 +467,7 @@ TEST(LabelFusion, PixelsWithoutDepthKeepTheirLabel) {
 
 TEST(LabelFusion, OneViewIsTheIdentityAndVoidStaysVoid) {
   FusionRow row;
-  row.add(0, wall(),
-          {{},
-           soft({{0.5F, 0.25F, 0.25F},
-                 {0, 0, 0},
-                 {0.25F, 0.25F, 0.25F},
-                 {0, 0, 0.5F},
-                 {0, 1, 0},
-                 {0.25F, 0.5F, 0.125F},
-                 {0, 0, 1},
-                 {1, 0, 0}})});
+  row.add(0, wall(), soft({"422", "000", "222", "004", "080", "241", "008", "800"}));
   FusedFrame out = row.fuse(0, 3);
   EXPECT_EQ(out.label[kMonocular], (Labels{0, kVoid, 0, 2, 1, 1, 2, 0}));
   EXPECT_EQ(out.label[kBayesian], out.label[kMonocular]);
@@ -624,10 +573,7 @@ struct PaintedWall {
 
   static constexpr std::size_t kWidth = 16, kHeight = 8, kPixels = kWidth * kHeight;
   PaintedWall() {
-    FrameInfo info{.name = "wall",
-                   .camera = {.width_px = kWidth, .height_px = kHeight, .fx = 16.8, .fy = 16.8, .cx = 8, .cy = 4},
-                   .split = Split::train};
-    scene.info.frames = {info};
+    scene.info.frames = {{.name = "wall", .camera = {kWidth, kHeight, 16.8, 16.8, 8, 4}}};
     scene.info.classes = ClassTable({{1, "dark", {}, false}, {2, "bright", {}, false}, {3, "other", {}, false}});
     StoredFrame frame;
     frame.width_px = kWidth;
@@ -648,6 +594,11 @@ struct PaintedWall {
     for (const std::int16_t c : given) ++labels.class_pixels[0][c < 0 ? 3 : static_cast<std::size_t>(c)];
     labels.frames = {{LabelMap(std::move(given)), {}}};
   }
+  void click(const std::map<std::size_t, std::int16_t>& clicks) {
+    std::vector<std::int16_t> given(kPixels, kVoid);
+    for (const auto& [pixel, label] : clicks) given[pixel] = label;
+    give(given);
+  }
   TrainingLabels spread() const { return propagate_labels(scene, labels, maps, params, {}); }
 };
 
@@ -660,10 +611,7 @@ std::string fact(const TrainingLabels& labels, const std::string& name) {
 
 TEST(Propagation, ColourDrawsTheBorderBetweenTwoClicks) {
   PaintedWall wall;
-  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
-  clicks[3 * 16 + 7] = 0;   // dark, at the border
-  clicks[4 * 16 + 15] = 1;  // bright, at the far end
-  wall.give(clicks);
+  wall.click({{3 * 16 + 7, 0}, {4 * 16 + 15, 1}});  // dark, at the border; bright, at the far end
   TrainingLabels out = wall.spread();
   ASSERT_TRUE(out.soft);
   for (std::size_t p = 0; p < PaintedWall::kPixels; ++p) {
@@ -682,10 +630,7 @@ TEST(Propagation, ColourDrawsTheBorderBetweenTwoClicks) {
 
 TEST(Propagation, DepthThatIsMissingAndPartsWithoutAVote) {
   PaintedWall wall;
-  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
-  clicks[0] = 2;
-  clicks[7] = 1;  // on a pixel that will have no depth
-  wall.give(clicks);
+  wall.click({{0, 2}, {7, 1}});  // the second on a pixel that will have no depth
   std::vector<float>& depth = wall.maps.depth_m[0];
   for (std::size_t row = 0; row < 8; ++row) {
     depth[row * 16 + 6] = depth[row * 16 + 7] = 0;
@@ -700,10 +645,7 @@ TEST(Propagation, DepthThatIsMissingAndPartsWithoutAVote) {
 
 TEST(Propagation, SureEnoughOnly) {
   PaintedWall wall;
-  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
-  clicks[0] = 0;
-  clicks[15] = 1;
-  wall.give(clicks);
+  wall.click({{0, 0}, {15, 1}});
   wall.params.color_sigma = 1000;
   wall.params.min_confidence = 0.6;
   const TrainingLabels out = wall.spread();
@@ -716,12 +658,8 @@ TEST(Propagation, VotesPooledByHand) {
   wall.params.method = PropagationMethod::vote;
   wall.params.vote_cells_m = {0.25, 0.5};  // 2 x 2 pixels, 4 x 4 pixels; the wall's borders are multiples of both
   wall.params.least_votes = 3;
-  std::vector<std::int16_t> given(PaintedWall::kPixels, kVoid);
-  given[0] = given[1] = 0;
-  given[16] = 1;  // three votes in the first small cell
-  given[2] = 2;   // alone in the second one: its large cell has four votes
-  given[15] = 1;  // alone in the last ones of both sizes
-  wall.give(given);
+  // Three votes in the first small cell; one alone in the second, whose large cell has four; one alone in both.
+  wall.click({{0, 0}, {1, 0}, {16, 1}, {2, 2}, {15, 1}});
   const TrainingLabels out = wall.spread();
   const auto row = [&](std::size_t pixel) {
     return std::array<float, 3>{out.frames[0].soft.at(pixel, 0), out.frames[0].soft.at(pixel, 1),
@@ -754,9 +692,7 @@ TEST(Propagation, SoftLabelsVoteWithTheirProbabilities) {
 TEST(Propagation, Refusals) {
   PaintedWall wall;
   EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "no training pixel carries a label");
-  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
-  clicks[0] = 0;
-  wall.give(clicks);
+  wall.click({{0, 0}});
   wall.params.cell_m = 0;
   EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "propagate.cell_m");
   wall.scene.pixel_footprint_m = 0.1;  // three of them, or 200 m / 500
