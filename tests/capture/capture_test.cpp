@@ -110,22 +110,9 @@ TEST(CaptureSharpness, TheSharpestOfEachIntervalUnlessStillOrBlurred) {
     film.insert(film.end(), one.begin(), one.end());
   };
   // Five intervals of three frames: the sharpest are 1, 4, 8; then one that shows the same as 8, then blur alone.
-  for (const auto& [t, r] : {std::pair{0, 2},
-                             {1, 0},
-                             {2, 1},
-                             {3, 1},
-                             {4, 0},
-                             {5, 2},
-                             {6, 2},
-                             {7, 1},
-                             {8, 0},
-                             {8, 1},
-                             {8, 0},
-                             {8, 2},
-                             {12, 3},
-                             {13, 3},
-                             {14, 4}})
-    add(t, r);
+  const int place[15] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 8, 8, 8, 12, 13, 14};
+  const int blur[15] = {2, 0, 1, 1, 0, 2, 2, 1, 0, 1, 0, 2, 3, 3, 4};
+  for (std::size_t i = 0; i < 15; ++i) add(place[i], blur[i]);
   const FrameChoice choice = choose_frames(film, kPixels, kSide, 5);
   EXPECT_EQ(choice.kept, (std::vector<std::size_t>{1, 4, 8}));
   EXPECT_EQ(choice.still, 1u);

@@ -44,13 +44,7 @@ inline void save_step(CheckpointStore& store, int step) {
 
 inline void write_scene(const std::string& folder, int version) {
   SceneInfo info{.name = "room " + std::to_string(version),
-                 .classes = ClassTable({{0, "void", {}, true},
-                                        {1, "west", {}, false},
-                                        {2, "east", {}, false},
-                                        {3, "up", {}, false},
-                                        {4, "down", {}, false},
-                                        {5, "south", {}, false},
-                                        {6, "north", {}, false}})};
+                 .classes = table_of_names({"void", "west", "east", "up", "down", "south", "north"})};
   for (int i = 0; i < 2; ++i) {
     FrameInfo frame{.name = "frame_" + std::to_string(i),
                     .camera = testing_room::room_camera(8, 6),

@@ -310,12 +310,7 @@ DepthView view_from(Vec3d eye, bool with_wall = true, std::int32_t stride = 1) {
   return view;
 }
 
-RayLimits limits() {
-  RayLimits limits;
-  limits.near_m = 0.05;
-  limits.far_m = 20;
-  return limits;
-}
+RayLimits limits() { return {.near_m = 0.05, .far_m = 20}; }
 
 VoxelGrid grid(double spacing) { return VoxelGrid::covering({{-1.5, -1.5, -1.5}, {1.5, 1.5, 1.5}}, spacing); }
 
