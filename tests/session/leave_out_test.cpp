@@ -86,7 +86,7 @@ TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
               "    field: {type: tiny_mlp, hidden_width: 16, color_width: 16}\n");
   Trained out(yaml, {}, 20);
   ASSERT_TRUE(left_out(out.session, "coarse_passes"));
-  EXPECT_EQ(out.session.pipeline->store().find("coarse/field/density_0/weight"), nullptr);
+  EXPECT_EQ(out.session.pipeline->passes().size(), 1U);
   Trained kept(yaml, {"coarse_passes"}, 20);
   EXPECT_EQ(kept.session.pipeline->passes().size(), 2U);
   // The tile of rays must be the same for the pair, or the sums have another order.
