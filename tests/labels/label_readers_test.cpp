@@ -617,14 +617,9 @@ SceneInfo paper_split() {
 }
 
 TEST(LabelSelection, CountsAreExact) {
-  EXPECT_EQ(label_frame_count("all", 180), 180);
-  EXPECT_EQ(label_frame_count("none", 180), 0);
-  EXPECT_EQ(label_frame_count("10%", 180), 18);
-  EXPECT_EQ(label_frame_count("5%", 180), 9);
-  EXPECT_EQ(label_frame_count("0.1%", 180), 1);
-  EXPECT_EQ(label_frame_count("0%", 180), 0);
-  EXPECT_EQ(label_frame_count("100%", 180), 180);
-  EXPECT_EQ(label_frame_count("2", 180), 2);
+  for (const auto& [frames, count] :
+       {std::pair{"all", 180}, {"none", 0}, {"10%", 18}, {"5%", 9}, {"0.1%", 1}, {"0%", 0}, {"100%", 180}, {"2", 2}})
+    EXPECT_EQ(label_frame_count(frames, 180), count) << frames;
   EXPECT_EQ(label_frame_count("10%", 0), 0);
 }
 

@@ -78,8 +78,11 @@ std::int64_t count(const ObjectSet& set, std::int32_t id) { return std::count(se
 
 ObjectEdit edit(const std::string& json) { return parse_object_edit(json, "here"); }
 
-TEST(ObjectEdits, ANameIsGivenAndTaken) {
+struct EditedBlocks : testing::Test {
   ObjectSet set = blocks();
+};
+
+TEST_F(EditedBlocks, ANameIsGivenAndTaken) {
   apply_edit(set, edit(R"({"do": "rename", "object": 2, "name": "my \"stools\""})"));
   EXPECT_EQ(set.rows[1].name, "my \"stools\"");
   apply_edit(set, edit(R"({"do": "rename", "object": 2, "name": ""})"));
@@ -87,8 +90,7 @@ TEST(ObjectEdits, ANameIsGivenAndTaken) {
   EXPECT_EQ(set.id, blocks().id);
 }
 
-TEST(ObjectEdits, TheFirstOfMergedObjectsStays) {
-  ObjectSet set = blocks();
+TEST_F(EditedBlocks, TheFirstOfMergedObjectsStays) {
   const std::int64_t both = count(set, 2) + count(set, 3);
   apply_edit(set, edit(R"({"do": "merge", "objects": [3, 2]})"));
   EXPECT_EQ(count(set, 3), both);
@@ -103,8 +105,7 @@ TEST(ObjectEdits, TheFirstOfMergedObjectsStays) {
   EXPECT_NEAR(row.box.size.x, 3.1, 0.05) << "from the first block of 2 to the end of 3";
 }
 
-TEST(ObjectEdits, PiecesThatDoNotTouchArePartedAndCrumbsStay) {
-  ObjectSet set = blocks();
+TEST_F(EditedBlocks, PiecesThatDoNotTouchArePartedAndCrumbsStay) {
   for (int k = 0; k < 40; ++k) {  // so that a cell is less than a fiftieth
     set.position.push_back({2.05 + 0.1 * (k % 4), 0.45 + 0.1 * (k / 4), 0.05});
     ASSERT_EQ(set.cells.add(set.position.back()), std::ssize(set.id));
@@ -121,8 +122,7 @@ TEST(ObjectEdits, PiecesThatDoNotTouchArePartedAndCrumbsStay) {
   EXPECT_EQ(count(set, 1), count(blocks(), 1)) << "others are not touched";
 }
 
-TEST(ObjectEdits, TwoPlacesPartWhatTouches) {
-  ObjectSet set = blocks();
+TEST_F(EditedBlocks, TwoPlacesPartWhatTouches) {
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "split", "object": 1})")), "objects.edit.invalid", "object 1");
   EXPECT_EQ(set.id, blocks().id) << "a refused edit changes nothing";
   apply_edit(set, edit(R"({"do": "split", "object": 1, "at": [[1.35, 0.15, 0.05], [0.05, 0.05, 0.05]]})"));
@@ -135,8 +135,7 @@ TEST(ObjectEdits, TwoPlacesPartWhatTouches) {
 }
 
 // Object 1 is its two blocks and the bridge between them, cut where its line is seen from above.
-TEST(ObjectEdits, APlanePartsWhatLiesOnItsSides) {
-  ObjectSet set = blocks();
+TEST_F(EditedBlocks, APlanePartsWhatLiesOnItsSides) {
   const ObjectEdit cut =
       edit(R"({"do": "split", "object": 1, "plane": [[0.8, 0.1, 0.05], [0.8, 0.2, 0.05], [0.8, 0.15, 9]]})");
   apply_edit(set, cut);
@@ -156,8 +155,7 @@ TEST(ObjectEdits, APlanePartsWhatLiesOnItsSides) {
                "plane");
 }
 
-TEST(ObjectEdits, WhatCannotBeIsRefusedWithTheObject) {
-  ObjectSet set = blocks();
+TEST_F(EditedBlocks, WhatCannotBeIsRefusedWithTheObject) {
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "merge", "objects": [1, 9]})")), "objects.edit.invalid", "object 9");
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "merge", "objects": [1, 1]})")), "objects.edit.invalid", "twice");
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "split", "object": 1, "at": [[0.05, 0.05, 0.05], [2.05, 0.05, 0.05]]})")),
@@ -172,16 +170,14 @@ TEST(ObjectEdits, WhatCannotBeIsRefusedWithTheObject) {
     EXPECT_ERROR(edit(bad), "objects.edit.invalid", "here");
 }
 
-TEST(ObjectEdits, PlacesOffThePointsTakeWhatIsNear) {
-  const ObjectSet set = blocks();
+TEST_F(EditedBlocks, PlacesOffThePointsTakeWhatIsNear) {
   EXPECT_EQ(set.at({0.05, 0.05, 0.12}), 1) << "the cell beside";
   EXPECT_EQ(set.at({0.05, 0.05, 0.3}), 1) << "within four cells";
   EXPECT_EQ(set.at({0.05, 0.05, 0.8}), 0);
 }
 
-TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
+TEST_F(EditedBlocks, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   const TempDir dir;
-  ObjectSet set = blocks();
   write_object_set(dir / "found.safetensors", set);
   ObjectEdits edits{set.digest(),
                     {edit(R"({"do": "merge", "objects": [1, 3]})"),

@@ -481,8 +481,11 @@ std::size_t entries(const std::string& folder) {
   return count;
 }
 
-TEST(Files, WritesReplacesAndLeavesNothingBehind) {
+struct Files : testing::Test {
   const std::string folder = fresh_folder("f");
+};
+
+TEST_F(Files, WritesReplacesAndLeavesNothingBehind) {
   const std::string path = folder + "/a.txt";
   write_file_atomic(path, std::string_view("one"));
   write_file_atomic(path, std::string_view("two, longer"));
@@ -491,8 +494,7 @@ TEST(Files, WritesReplacesAndLeavesNothingBehind) {
   EXPECT_EQ(entries(folder), 1u);
 }
 
-TEST(Files, AbandonedFileKeepsTheOldOne) {
-  const std::string folder = fresh_folder("f");
+TEST_F(Files, AbandonedFileKeepsTheOldOne) {
   const std::string path = folder + "/a.bin";
   write_file_atomic(path, std::string_view("old"));
   {
@@ -507,8 +509,8 @@ TEST(Files, AbandonedFileKeepsTheOldOne) {
   EXPECT_EQ(entries(folder), 1u);
 }
 
-TEST(Files, OverwriteChangesBytesInPlace) {
-  const std::string path = fresh_folder("f") + "/a.bin";
+TEST_F(Files, OverwriteChangesBytesInPlace) {
+  const std::string path = folder + "/a.bin";
   AtomicFile file(path);
   file.append(std::as_bytes(std::span<const char>("hello", 5)));
   file.overwrite(1, std::as_bytes(std::span<const char>("a", 1)));
@@ -516,8 +518,7 @@ TEST(Files, OverwriteChangesBytesInPlace) {
   EXPECT_EQ(read_text_file(path), "hallo");
 }
 
-TEST(Files, ErrorsNamePathCauseAndRemedy) {
-  const std::string folder = fresh_folder("f");
+TEST_F(Files, ErrorsNamePathCauseAndRemedy) {
   EXPECT_HAS(error_of([&] { (void)read_text_file(folder + "/none"); }), folder + "/none", "or directory");
   EXPECT_HAS(error_of([&] { (void)read_text_file(folder); }), folder, "a file");
   EXPECT_HAS(error_of([&] { write_file_atomic(folder + "/no/a.txt", std::string_view("x")); }), folder + "/no/a.txt",
@@ -531,8 +532,8 @@ TEST(Files, ErrorsNamePathCauseAndRemedy) {
 }
 
 // A pipe without a writer, and a device that never ends, would otherwise be waited for.
-TEST(Files, OnlyRegularFilesAreRead) {
-  const std::string folder = fresh_folder("f"), pipe = folder + "/pipe.png";
+TEST_F(Files, OnlyRegularFilesAreRead) {
+  const std::string pipe = folder + "/pipe.png";
   ASSERT_EQ(::mkfifo(pipe.c_str(), 0600), 0);
   const auto why = [](const std::string& path) { return error_of([&] { (void)read_file_start(path, 1); }); };
   EXPECT_EQ(why(pipe), "'" + pipe + "' is a pipe, not a file; check the path");
@@ -553,8 +554,7 @@ TEST(Files, OnlyRegularFilesAreRead) {
 }
 
 // A process that is killed between append and commit leaves its file; one that lives keeps it.
-TEST(Files, TemporariesOfTheDeadGoAndThoseOfTheLivingStay) {
-  const std::string folder = fresh_folder("f");
+TEST_F(Files, TemporariesOfTheDeadGoAndThoseOfTheLivingStay) {
   AtomicFile living(folder + "/b.bin");
   const pid_t child = ::fork();
   if (child == 0) {
@@ -574,8 +574,7 @@ TEST(Files, TemporariesOfTheDeadGoAndThoseOfTheLivingStay) {
   EXPECT_EQ(remove_stale_temporaries(folder + "/none"), 0);
 }
 
-TEST(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
-  const std::string folder = fresh_folder("f");
+TEST_F(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
   plain_write(folder + "/.a.bin.0.tmp", "left by a killed writer");
   write_file_atomic(folder + "/a.bin", std::string_view("new"));
   EXPECT_EQ(entries(folder), 1u);
@@ -591,8 +590,7 @@ TEST(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
 }
 
 // Names of that form are not this program's alone, and what lies in the folder of a user is not known.
-TEST(Files, AWriteRemovesNothingOfOtherTargets) {
-  const std::string folder = fresh_folder("others");
+TEST_F(Files, AWriteRemovesNothingOfOtherTargets) {
   for (const char* name : {"/.mesh.ply.0.tmp", "/.syncthing.frame.0001.tmp"}) plain_write(folder + name, "not ours");
   write_file_atomic(folder + "/mesh.glb", std::string_view("new"));
   EXPECT_EQ(entries(folder), 3u);
@@ -600,8 +598,7 @@ TEST(Files, AWriteRemovesNothingOfOtherTargets) {
 }
 
 // What a handler of signals does: own files go, those of another writer and of a process that was forked do not.
-TEST(Files, AProcessThatEndsBySignalRemovesItsOwn) {
-  const std::string folder = fresh_folder("ends");
+TEST_F(Files, AProcessThatEndsBySignalRemovesItsOwn) {
   AtomicFile other(folder + "/other");
   const pid_t child = ::fork();
   if (child == 0) {
@@ -617,8 +614,7 @@ TEST(Files, AProcessThatEndsBySignalRemovesItsOwn) {
   EXPECT_TRUE(fs::exists(folder + "/other"));
 }
 
-TEST(Files, WhatDoesNotVerifyTakesNoName) {
-  const std::string folder = fresh_folder("f");
+TEST_F(Files, WhatDoesNotVerifyTakesNoName) {
   write_file_atomic(folder + "/a", std::string_view("old"));
   {
     AtomicFile file(folder + "/a");
@@ -633,8 +629,7 @@ TEST(Files, WhatDoesNotVerifyTakesNoName) {
   EXPECT_EQ(entries(folder), 1u);
 }
 
-TEST(Files, FoldersAreMadeWithThoseAbove) {
-  const std::string folder = fresh_folder("f");
+TEST_F(Files, FoldersAreMadeWithThoseAbove) {
   create_folders(folder + "/a/b/c/");
   create_folders(folder + "/a/b");
   EXPECT_TRUE(fs::is_directory(folder + "/a/b/c"));

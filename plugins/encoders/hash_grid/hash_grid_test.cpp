@@ -15,17 +15,9 @@
 namespace semfield {
 namespace {
 
-HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest,
-                         Interpolation interpolation = Interpolation::linear) {
-  return HashGridParams{.levels = levels,
-                        .features = features,
-                        .log2_entries = log2_entries,
-                        .base_resolution = base,
-                        .finest_resolution = finest,
-                        .interpolation = interpolation};
-}
-
 const KernelTables& kernels() { return testkit::linked_registry().kernels(); }
+
+// Grids are {levels, features, log2_entries, base and finest resolution, interpolation}.
 
 template <class Real>
 testkit::EncoderBox<Real> grid_of(const HashGridParams& params) {
@@ -50,8 +42,8 @@ TEST(HashGrid, SmoothstepMovesPointsWithinTheirCells) {
     v = (cell + w * w * (3 - 2 * w)) / kCells;
   }
   for (const int features : {1, 2, 4, 8}) {
-    auto smooth = grid_of<double>(params_of(1, features, 12, 37, 37, Interpolation::smoothstep));
-    auto linear = grid_of<double>(params_of(1, features, 12, 37, 37));
+    auto smooth = grid_of<double>({1, features, 12, 37, 37, Interpolation::smoothstep});
+    auto linear = grid_of<double>({1, features, 12, 37, 37});
     const std::vector<double> got = smooth.forward(x), want = linear.forward(moved);
     for (std::size_t i = 0; i < got.size(); ++i) ASSERT_NEAR(got[i], want[i], 2e-13) << features;
   }
@@ -59,8 +51,8 @@ TEST(HashGrid, SmoothstepMovesPointsWithinTheirCells) {
 
 // Blocks, tiles, groups, strides and threads: nothing but the row's own coordinates may decide its bits.
 TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
-  auto grid = grid_of<float>(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
-  constexpr std::int64_t rows = 50000;                      // more than a block, in pieces that threads share
+  auto grid = grid_of<float>({5, 2, 16, 8, 500});  // its tables are large enough to be fetched ahead
+  constexpr std::int64_t rows = 50000;             // more than a block, in pieces that threads share
   const auto x = random_points(rows);
   const auto whole = grid.forward(x);
   for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 4095, 4096, 8192, 49151, 49152, 49997}) {
@@ -85,7 +77,7 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
 }
 
 TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
-  auto grid = grid_of<float>(params_of(3, 2, 6, 2, 5));
+  auto grid = grid_of<float>({3, 2, 6, 2, 5});
   auto x = random_points(60000);
   for (const std::size_t row : {59000, 20001, 9003, 9004}) x[3 * row + 1] = NAN;
   for (const int threads : {1, 2, 7}) {
@@ -105,9 +97,9 @@ TEST(HashGridLevels, LevelsFollowThePaper) {
     EXPECT_EQ(shape.level[l].dense, n * n * n <= 524288);
     EXPECT_EQ(shape.level[l].entries, std::min<std::int64_t>(n * n * n, 524288));
   }
-  const HashGridShape powers = hash_grid_shape(params_of(8, 2, 19, 16, 2048));
+  const HashGridShape powers = hash_grid_shape({8, 2, 19, 16, 2048});
   for (int l = 0; l < 8; ++l) EXPECT_EQ(powers.level[l].resolution, 16 << l);
-  const std::vector<TensorSpec> specs = grid_of<float>(params_of(11, 4, 8, 2, 64)).tensors().specs();
+  const std::vector<TensorSpec> specs = grid_of<float>({11, 4, 8, 2, 64}).tensors().specs();
   ASSERT_EQ(specs.size(), 11u);
   EXPECT_EQ(specs[0].name, "level_00");
   EXPECT_EQ(specs[10].name, "level_10");
@@ -126,11 +118,11 @@ TEST(HashGridLevels, RefuseImpossibleParameters) {
     return diagnostics.error_count();
   };
   EXPECT_EQ(errors(HashGridParams{}), 0);
-  EXPECT_EQ(errors(params_of(4, 3, 10, 4, 8)), 1);
-  EXPECT_EQ(errors(params_of(4, 2, 10, 9, 8)), 1);
-  EXPECT_EQ(errors(params_of(1, 2, 10, 4, 8)), 1);
-  EXPECT_EQ(errors(params_of(1, 2, 10, 8, 8)), 0);
-  EXPECT_EQ(errors(params_of(4, 2, 0, 9, 0)), 0);  // to be chosen
+  EXPECT_EQ(errors({4, 3, 10, 4, 8}), 1);
+  EXPECT_EQ(errors({4, 2, 10, 9, 8}), 1);
+  EXPECT_EQ(errors({1, 2, 10, 4, 8}), 1);
+  EXPECT_EQ(errors({1, 2, 10, 8, 8}), 0);
+  EXPECT_EQ(errors({4, 2, 0, 9, 0}), 0);  // to be chosen
   EXPECT_THROW(HashGrid<float>(HashGridParams{}, EncoderBuild{.in_dims = 2}, kernels()), Error);
 }
 
@@ -148,21 +140,21 @@ Chosen chosen_for(HashGridParams p, double extent_m, double pixel_m, Device devi
 TEST(HashGridLevels, SizesAreChosenFromTheScene) {
   // 6.4 m at pixels of 25 mm: cells of 20 mm, 320 a side; 12 * 321^2 = 1,236,492 vertices, more than 2^19, but 1 MiB is
   // 2^17 entries of 8 bytes.
-  const Chosen room = chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025);
+  const Chosen room = chosen_for({8, 2, 0, 16, 0}, 6.4, 0.025);
   EXPECT_EQ(room.finest, 320);
   EXPECT_EQ(room.log2_entries, 17);
   EXPECT_EQ(room.sentences.size(), 2u);
-  EXPECT_EQ(chosen_for(params_of(8, 8, 0, 16, 0), 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
+  EXPECT_EQ(chosen_for({8, 8, 0, 16, 0}, 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
   // 2 m at 50 mm: 50 cells, of steps of 8 the nearest is 48; 12 * 49^2 = 28,812 <= 2^15.
-  const Chosen small = chosen_for(params_of(8, 2, 0, 16, 0), 2.0, 0.05);
+  const Chosen small = chosen_for({8, 2, 0, 16, 0}, 2.0, 0.05);
   EXPECT_EQ(small.finest, 48);
   EXPECT_EQ(small.log2_entries, 15);
-  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).finest, 16);  // never below the coarsest level
-  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).log2_entries, 14);
-  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0, 0).finest, 2048);  // nothing known
-  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025, Device::cuda).log2_entries, 19);
+  EXPECT_EQ(chosen_for({8, 2, 0, 16, 0}, 0.2, 0.05).finest, 16);  // never below the coarsest level
+  EXPECT_EQ(chosen_for({8, 2, 0, 16, 0}, 0.2, 0.05).log2_entries, 14);
+  EXPECT_EQ(chosen_for({8, 2, 0, 16, 0}, 0, 0).finest, 2048);  // nothing known
+  EXPECT_EQ(chosen_for({8, 2, 0, 16, 0}, 6.4, 0.025, Device::cuda).log2_entries, 19);
   // What is written stays, without a word.
-  const Chosen fixed = chosen_for(params_of(8, 2, 12, 16, 99), 6.4, 0.025);
+  const Chosen fixed = chosen_for({8, 2, 12, 16, 99}, 6.4, 0.025);
   EXPECT_EQ(fixed.finest, 99);
   EXPECT_EQ(fixed.log2_entries, 12);
   EXPECT_TRUE(fixed.sentences.empty());

@@ -21,27 +21,19 @@ HashGrid<Real> make(const HashGridParams& params, Device device) {
   return HashGrid<Real>(params, EncoderBuild{.device = device}, testing::all_kernels());
 }
 
-HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest,
-                         Interpolation interpolation = Interpolation::linear) {
-  return HashGridParams{.levels = levels,
-                        .features = features,
-                        .log2_entries = log2_entries,
-                        .base_resolution = base,
-                        .finest_resolution = finest,
-                        .interpolation = interpolation};
-}
+// Grids are {levels, features, log2_entries, base and finest resolution, interpolation}.
 
 /// Dense and hashed levels, every entry width, groups of 8 columns that are full and that are not.
 std::vector<HashGridParams> grids() {
   std::vector<HashGridParams> all;
   for (const Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
     for (const int features : {1, 2, 4, 8}) {
-      all.push_back(params_of(5, features, 10, 4, 64, interpolation));
-      all.push_back(params_of(16, features, 12, 8, 512, interpolation));
+      all.push_back({5, features, 10, 4, 64, interpolation});
+      all.push_back({16, features, 12, 8, 512, interpolation});
     }
-    all.push_back(params_of(1, 1, 1, 3, 3, interpolation));            // two entries
-    all.push_back(params_of(2, 2, 20, 1, 60, interpolation));          // one cell; dense alone
-    all.push_back(params_of(3, 2, 14, 1000, 1048576, interpolation));  // hashed alone
+    all.push_back({1, 1, 1, 3, 3, interpolation});            // two entries
+    all.push_back({2, 2, 20, 1, 60, interpolation});          // one cell; dense alone
+    all.push_back({3, 2, 14, 1000, 1048576, interpolation});  // hashed alone
   }
   return all;
 }
@@ -102,13 +94,13 @@ TEST_F(CudaHashGrid, FollowsItsTwinOnTheCpu) {
       expect_twins(params, rows, rows == 33 ? 3 : 0);
     }
   }
-  expect_twins(params_of(16, 2, 14, 16, 2048), 4097, 0);
-  expect_twins(params_of(16, 2, 14, 16, 2048), 4097, 1);
+  expect_twins({16, 2, 14, 16, 2048}, 4097, 0);
+  expect_twins({16, 2, 14, 16, 2048}, 4097, 1);
 }
 
 TEST_F(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
   constexpr std::int64_t kRows = 100'000;  // many blocks meet in the coarse levels' few entries
-  const HashGridParams params = params_of(8, 2, 12, 8, 256);
+  const HashGridParams params{8, 2, 12, 8, 256};
   const HashGrid<float> encoder = make<float>(params, Device::cuda);
   DeviceLaunch launch(false, true);
   DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
@@ -131,7 +123,7 @@ TEST_F(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
 // Gradients differ by ten orders of magnitude: where only small ones meet, fixed point must not round them away.
 TEST_F(CudaHashGrid, FixedPointKeepsTheAccuracyOfSmallGradients) {
   constexpr std::int64_t kRows = 4097;
-  const HashGrid<float> encoder = make<float>(params_of(16, 2, 14, 16, 2048), Device::cuda);
+  const HashGrid<float> encoder = make<float>({16, 2, 14, 16, 2048}, Device::cuda);
   DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(kRows, 9), 3);
   std::vector<float> dy = gradients(kRows, 32, 8);
@@ -160,7 +152,7 @@ TEST_F(CudaHashGrid, FixedPointKeepsTheAccuracyOfSmallGradients) {
 
 TEST_F(CudaHashGrid, RowsOutOfUseAreLeftOut) {
   constexpr std::int64_t kRows = 1000, kLive = 333;
-  const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
+  const HashGrid<float> encoder = make<float>({5, 2, 10, 4, 64}, Device::cuda);
   const testkit::TensorBox<float> box(encoder, 1, 1);
   DeviceTensors tables(box), live_tables(box);
   const std::vector<double> x = points(kRows, 2);
@@ -188,7 +180,7 @@ TEST_F(CudaHashGrid, RowsOutOfUseAreLeftOut) {
 }
 
 TEST_F(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
-  const HashGrid<float> encoder = make<float>(params_of(16, 2, 12, 8, 1048576), Device::cuda);
+  const HashGrid<float> encoder = make<float>({16, 2, 12, 8, 1048576}, Device::cuda);
   DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) {
     std::vector<double> x = points(500, 2), clamped = x;
@@ -212,7 +204,7 @@ TEST_F(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
 }
 
 TEST_F(CudaHashGrid, GradientsThatAreNotFiniteReachEveryLevel) {
-  const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
+  const HashGrid<float> encoder = make<float>({5, 2, 10, 4, 64}, Device::cuda);
   DeviceTensors tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(100, 2), 3);
   std::vector<float> rows = gradients(100, 10, 3);
