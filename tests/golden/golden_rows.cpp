@@ -310,14 +310,15 @@ void print_labelling(Registry& registry, const TempDir& dir) {
                                     "steps: 20,", "steps: 60,");
   TrainRequest labelled{.out_dir = dir / "labelled"};
   labelled.driver = Driver::page;
-  LabelRun run(std::make_unique<semfield::Run>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
-                                               labelled, nullptr));
+  LabelSession run({std::make_unique<semfield::Run>(run_config_of(parse_config_text(yaml, "test.yaml"), registry),
+                                                    registry, labelled, nullptr),
+                    {}});
   const auto train_to = [&](std::int64_t step) { run.train(1e9, [&] { return run.step() >= step; }); };
   train_to(60);
   while (!run.loop().ready()) run.tend(false, false, false);
-  Annotations annotations(*run.session().config.labels.clicks);
+  Annotations annotations(*run.opened().config.labels.clicks);
   run.take(annotations);
-  const SceneInfo& scene = run.session().scene.info;
+  const SceneInfo& scene = run.opened().scene.info;
   const auto frame = [&](int view) -> const FrameInfo& {
     return scene.frames[static_cast<std::size_t>(run.loop().views()[static_cast<std::size_t>(view)].frame)];
   };

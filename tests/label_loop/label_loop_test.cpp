@@ -311,9 +311,15 @@ struct Toy {
 
 PointLearning quick(std::int64_t steps = 120) { return PointLearning{.steps = steps, .batch = 192}; }
 
-double share_right(PointLearner& learner, const Toy& toy, const std::vector<bool>& live) {
-  const std::vector<float> p = learner.probabilities(learner.rows_at(toy.places), live);
-  const auto width = static_cast<std::ptrdiff_t>(learner.classes());
+std::vector<float> probabilities(Pipeline<float>& network, const PointRows& rows, const std::vector<bool>& live) {
+  std::vector<float> out = point_logits(network, rows);
+  softmax_live(out, point_classes(network), live);
+  return out;
+}
+
+double share_right(Pipeline<float>& network, const Toy& toy, const std::vector<bool>& live) {
+  const std::vector<float> p = probabilities(network, point_rows(network, toy.places), live);
+  const auto width = static_cast<std::ptrdiff_t>(point_classes(network));
   int right = 0;
   for (std::size_t i = 0; i < toy.logit.size(); ++i) {
     const auto row = p.begin() + static_cast<std::ptrdiff_t>(i) * width;
@@ -322,19 +328,19 @@ double share_right(PointLearner& learner, const Toy& toy, const std::vector<bool
   return static_cast<double>(right) / static_cast<double>(toy.logit.size());
 }
 
-TEST(PointLearner, LearnsWhatCanBeToldApart) {
+TEST(LearnedPoints, LearnsWhatCanBeToldApart) {
   const Toy seen(1), other(2);
   const Session session = open_text(config_of(true));
-  PointLearner learner(*session.pipeline);
-  ASSERT_EQ(learner.classes(), 5);
+  Pipeline<float>& network = *session.pipeline;
+  ASSERT_EQ(point_classes(network), 5);
   const std::vector<bool> live(5, true);
-  EXPECT_LT(share_right(learner, other, live), 0.7);
-  learner.learn(learner.rows_at(seen.places), seen.logit, {}, quick());
-  EXPECT_GT(share_right(learner, seen, live), 0.95);
-  EXPECT_GT(share_right(learner, other, live), 0.9) << "places that were not named";
+  EXPECT_LT(share_right(network, other, live), 0.7);
+  learn_points(network, point_rows(network, seen.places), seen.logit, {}, quick());
+  EXPECT_GT(share_right(network, seen, live), 0.95);
+  EXPECT_GT(share_right(network, other, live), 0.9) << "places that were not named";
 }
 
-TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
+TEST(LearnedPoints, LearnsTheSameBitsForAnyThreads) {
   const Toy toy(3);
   for (const bool branch : {false, true}) {
     std::vector<std::uint32_t> bits;
@@ -342,11 +348,11 @@ TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
     for (const int threads : {1, 2, 3}) {
       const ThreadScope scope(threads);
       const Session session = open_text(config_of(branch));
-      PointLearner learner(*session.pipeline);
-      const PointRows rows = learner.rows_at(toy.places);
-      learner.learn(rows, toy.logit, {}, quick(20));
+      Pipeline<float>& network = *session.pipeline;
+      const PointRows rows = point_rows(network, toy.places);
+      learn_points(network, rows, toy.logit, {}, quick(20));
       bits.push_back(fingerprint(session.pipeline->store()));
-      logits.push_back(learner.logits(rows));
+      logits.push_back(point_logits(network, rows));
     }
     EXPECT_EQ(bits[1], bits[0]);
     EXPECT_EQ(bits[2], bits[0]);
@@ -356,7 +362,7 @@ TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
 }
 
 // Whatever was learned before: points state everything, and colour and geometry stand.
-TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
+TEST(LearnedPoints, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
   const Toy toy(4), other(5);
   for (const bool branch : {false, true}) {
     SCOPED_TRACE(branch);
@@ -374,15 +380,15 @@ TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
       return out;
     };
     const std::vector<float> field = copy(false), before = copy(true);
-    PointLearner learner(*session.pipeline);
-    const PointRows rows = learner.rows_at(toy.places);
-    learner.learn(rows, toy.logit, {}, quick(10));
+    Pipeline<float>& network = *session.pipeline;
+    const PointRows rows = point_rows(network, toy.places);
+    learn_points(network, rows, toy.logit, {}, quick(10));
     const std::vector<float> learned = copy(true);
     EXPECT_EQ(copy(false), field);
     EXPECT_NE(learned, before);
-    learner.learn(learner.rows_at(other.places), other.logit, {}, quick(10));
+    learn_points(network, point_rows(network, other.places), other.logit, {}, quick(10));
     EXPECT_NE(copy(true), learned);
-    learner.learn(rows, toy.logit, {}, quick(10));
+    learn_points(network, rows, toy.logit, {}, quick(10));
     EXPECT_EQ(copy(true), learned);
     EXPECT_EQ(copy(false), field);
     for (const Tensor<float>& t : store.all()) {
@@ -397,13 +403,13 @@ TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
   }
 }
 
-TEST(PointLearner, ClassesWithoutLabelsHaveNoProbability) {
+TEST(LearnedPoints, ClassesWithoutLabelsHaveNoProbability) {
   const Toy toy(6, 30);
   const Session session = open_text(config_of(true));
-  PointLearner learner(*session.pipeline);
-  const PointRows rows = learner.rows_at(toy.places);
+  Pipeline<float>& network = *session.pipeline;
+  const PointRows rows = point_rows(network, toy.places);
   const std::vector<bool> live{true, false, false, true, true};
-  const std::vector<float> p = learner.probabilities(rows, live), logits = learner.logits(rows);
+  const std::vector<float> p = probabilities(network, rows, live), logits = point_logits(network, rows);
   for (std::size_t i = 0; i < 30; ++i) {
     double norm = 0, sum = 0;
     for (std::size_t c = 0; c < 5; ++c) norm += live[c] ? std::exp(static_cast<double>(logits[5 * i + c])) : 0;
@@ -415,36 +421,38 @@ TEST(PointLearner, ClassesWithoutLabelsHaveNoProbability) {
     }
     EXPECT_NEAR(sum, 1, 1e-5);
   }
-  for (const float found : learner.probabilities(rows, std::vector<bool>(5, false))) EXPECT_EQ(found, 0);
+  for (const float found : probabilities(network, rows, std::vector<bool>(5, false))) EXPECT_EQ(found, 0);
   std::vector<float> extreme{1e30F, -1e30F, 0, -1e30F, 90, 90};
   softmax_live(extreme, 3, {true, true, true});
   EXPECT_EQ(extreme, (std::vector<float>{1, 0, 0, 0, 0.5F, 0.5F}));
 }
 
-TEST(PointLearner, NoPointsAreFine) {
+TEST(LearnedPoints, NoPointsAreFine) {
   const Session session = open_text(config_of(true));
-  PointLearner learner(*session.pipeline);
+  Pipeline<float>& network = *session.pipeline;
   const std::uint32_t start = fingerprint(session.pipeline->store());
-  const PointRows none = learner.rows_at({});
+  const PointRows none = point_rows(network, {});
   EXPECT_EQ(none.count(), 0);
   const Toy toy(7);
-  learner.learn(learner.rows_at(toy.places), toy.logit, {}, quick(3));
+  learn_points(network, point_rows(network, toy.places), toy.logit, {}, quick(3));
   EXPECT_NE(fingerprint(session.pipeline->store()), start);
-  learner.learn(none, {}, {}, quick());
+  learn_points(network, none, {}, {}, quick());
   EXPECT_EQ(fingerprint(session.pipeline->store()), start);
-  EXPECT_TRUE(learner.logits(none).empty());
-  EXPECT_TRUE(learner.probabilities(none, std::vector<bool>(5, true)).empty());
+  EXPECT_TRUE(point_logits(network, none).empty());
+  EXPECT_TRUE(probabilities(network, none, std::vector<bool>(5, true)).empty());
   // Points without a logit or a weight are no points.
-  learner.learn(learner.rows_at(toy.places), std::vector<std::int16_t>(toy.logit.size(), kVoid), {}, quick(3));
+  learn_points(network, point_rows(network, toy.places), std::vector<std::int16_t>(toy.logit.size(), kVoid), {},
+               quick(3));
   EXPECT_EQ(fingerprint(session.pipeline->store()), start);
-  learner.learn(learner.rows_at(toy.places), toy.logit, std::vector<float>(toy.logit.size(), 0.0F), quick(3));
+  learn_points(network, point_rows(network, toy.places), toy.logit, std::vector<float>(toy.logit.size(), 0.0F),
+               quick(3));
   EXPECT_EQ(fingerprint(session.pipeline->store()), start);
 }
 
 // One place named as two classes: the heavier is believed.
-TEST(PointLearner, WeightsTellHowOftenAPointIsDrawn) {
+TEST(LearnedPoints, WeightsTellHowOftenAPointIsDrawn) {
   const Session session = open_text(config_of(true));
-  PointLearner learner(*session.pipeline);
+  Pipeline<float>& network = *session.pipeline;
   const Toy toy(8, 60);
   std::vector<Vec3d> places = toy.places;
   places.insert(places.end(), toy.places.begin(), toy.places.end());
@@ -453,8 +461,8 @@ TEST(PointLearner, WeightsTellHowOftenAPointIsDrawn) {
   for (const bool first : {true, false}) {
     std::vector<float> weight(60, first ? 10.0F : 1.0F);
     weight.resize(120, first ? 1.0F : 10.0F);
-    learner.learn(learner.rows_at(places), logit, weight, quick(60));
-    const std::vector<float> p = learner.probabilities(learner.rows_at(toy.places), std::vector<bool>(5, true));
+    learn_points(network, point_rows(network, places), logit, weight, quick(60));
+    const std::vector<float> p = probabilities(network, point_rows(network, toy.places), std::vector<bool>(5, true));
     double two = 0, three = 0;
     for (std::size_t i = 0; i < 60; ++i) {
       two += static_cast<double>(p[5 * i + 2]) / 60;

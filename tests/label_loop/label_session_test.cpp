@@ -666,10 +666,10 @@ TEST_F(PlainSession, AfterTheEndTheyAreStale) {
 struct PreparedRun : ::testing::Test {
   TempDir dir;
   RunListener nobody;
-  LabelRun run;
+  LabelSession run;
   Annotations annotations;
 
-  PreparedRun() : run(opened()), annotations(*run.session().config.labels.clicks) {
+  PreparedRun() : run({opened(), {}}), annotations(*run.opened().config.labels.clicks) {
     for (int turn = 0; !run.loop().ready() && turn < 1000; ++turn) {
       run.train(0.05);
       run.tend(false, false, false);
@@ -693,7 +693,7 @@ struct PreparedRun : ::testing::Test {
     const int frame = run.loop().views()[view].frame;
     return LabelEvent{.id = id,
                       .kind = kind,
-                      .frame = run.session().scene.info.frames[frame].name,
+                      .frame = run.opened().scene.info.frames[frame].name,
                       .width_px = 48,
                       .height_px = 36,
                       .points = {at}};
@@ -712,8 +712,7 @@ struct PreparedRun : ::testing::Test {
   Vec3d place_of(const ProposalState& proposal) const {
     const PixelPlace pixel{static_cast<std::int32_t>(proposal.at.x), static_cast<std::int32_t>(proposal.at.y)};
     const PoolView& view = run.loop().views()[proposal.view];
-    return point_at(view.camera, run.session().limits, pixel,
-                    static_cast<double>(view.map.at(pixel.column, pixel.row)));
+    return point_at(view.camera, run.opened().limits, pixel, static_cast<double>(view.map.at(pixel.column, pixel.row)));
   }
 };
 

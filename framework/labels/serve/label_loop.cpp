@@ -75,28 +75,27 @@ class PointChoice {
 
 }  // namespace
 
-PointLearner::PointLearner(Pipeline<float>& pipeline) : pipeline_(pipeline) {
+std::int32_t point_classes(const Pipeline<float>& pipeline) {
   SEMFIELD_CHECK(pipeline.has_semantics(), "points are learned by a network with semantics");
-  classes_ = pipeline.passes().back().parts().head->width();
-  tensors_ = semantic_tensors(pipeline.store());
+  return pipeline.passes().back().parts().head->width();
 }
 
-PointRows PointLearner::rows_at(std::span<const Vec3d> positions) {
+PointRows point_rows(Pipeline<float>& pipeline, std::span<const Vec3d> positions) {
   static_assert(sizeof(Vec3d) == 3 * sizeof(double));
   PointRows rows;
-  rows.dims = pipeline_.passes().back().point_dims();
+  rows.dims = pipeline.passes().back().point_dims();
   rows.values.resize(positions.size() * static_cast<std::size_t>(rows.dims));
   if (!positions.empty())
-    pipeline_.executor().points().rows({&positions.data()->x, std::ssize(positions), 3}, rows.view());
+    pipeline.executor().points().rows({&positions.data()->x, std::ssize(positions), 3}, rows.view());
   return rows;
 }
 
-void PointLearner::learn(const PointRows& rows, std::span<const std::int16_t> logit, std::span<const float> weight,
-                         const PointLearning& options) {
+void learn_points(Pipeline<float>& pipeline, const PointRows& rows, std::span<const std::int16_t> logit,
+                  std::span<const float> weight, const PointLearning& options) {
   SEMFIELD_CHECK(rows.count() == std::ssize(logit), "a logit for every point");
-  for (Tensor<float>* tensor : tensors_)
-    if (tensor->learned()) pipeline_.store().restart(*tensor);
-  const PointChoice choice(logit, weight, classes_, options.class_power);
+  for (Tensor<float>* tensor : semantic_tensors(pipeline.store()))
+    if (tensor->learned()) pipeline.store().restart(*tensor);
+  const PointChoice choice(logit, weight, point_classes(pipeline), options.class_power);
   const std::int64_t steps = choice.empty() ? 0 : options.steps;
   std::vector<std::int32_t> points(static_cast<std::size_t>(steps * options.batch));
   std::vector<AdamStep> updates;
@@ -108,36 +107,37 @@ void PointLearner::learn(const PointRows& rows, std::span<const std::int16_t> lo
     const double rate = options.learning_rate * (0.1 + 0.45 * (1 + std::cos(std::numbers::pi * done)));
     updates.push_back(adam_step(AdamParams{}, rate, n));
   }
-  pipeline_.executor().points().learn({.rows = rows.view(),
-                                       .logit = logit,
-                                       .choice = points,
-                                       .batch = options.batch,
-                                       .updates = updates,
-                                       .weight_decay = options.weight_decay});
+  pipeline.executor().points().learn({.rows = rows.view(),
+                                      .logit = logit,
+                                      .choice = points,
+                                      .batch = options.batch,
+                                      .updates = updates,
+                                      .weight_decay = options.weight_decay});
 }
 
-PointLearner::Kept PointLearner::keep() const {
-  pipeline_.executor().points().read();
-  Kept kept;
-  for (const Tensor<float>* tensor : tensors_)
+KeptSemantics keep_semantics(Pipeline<float>& pipeline) {
+  pipeline.executor().points().read();
+  KeptSemantics kept;
+  for (const Tensor<float>* tensor : semantic_tensors(pipeline.store()))
     for (const auto* part : {&tensor->value, &tensor->moment1, &tensor->moment2})
       kept.emplace_back(part->data(), part->data() + part->size());
   return kept;
 }
 
-void PointLearner::put_back(const Kept& kept) {
+void put_back(Pipeline<float>& pipeline, const KeptSemantics& kept) {
   std::size_t next = 0;
-  for (Tensor<float>* tensor : tensors_)
+  for (Tensor<float>* tensor : semantic_tensors(pipeline.store()))
     for (auto* part : {&tensor->value, &tensor->moment1, &tensor->moment2}) {
       std::copy(kept[next].begin(), kept[next].end(), part->data());
       ++next;
     }
-  pipeline_.executor().points().write();
+  pipeline.executor().points().write();
 }
 
-std::vector<float> PointLearner::logits(const PointRows& rows) {
-  std::vector<float> out(static_cast<std::size_t>(rows.count() * classes_));
-  if (!out.empty()) pipeline_.executor().points().logits(rows.view(), {out.data(), rows.count(), classes_});
+std::vector<float> point_logits(Pipeline<float>& pipeline, const PointRows& rows) {
+  const std::int32_t classes = point_classes(pipeline);
+  std::vector<float> out(static_cast<std::size_t>(rows.count() * classes));
+  if (!out.empty()) pipeline.executor().points().logits(rows.view(), {out.data(), rows.count(), classes});
   return out;
 }
 
@@ -155,12 +155,6 @@ void softmax_live(std::span<float> logits, std::int32_t classes, const std::vect
     if (sum > 0)
       for (float& p : row) p /= sum;
   }
-}
-
-std::vector<float> PointLearner::probabilities(const PointRows& rows, const std::vector<bool>& live) {
-  std::vector<float> values = logits(rows);
-  softmax_live(values, classes_, live);
-  return values;
 }
 
 namespace {
@@ -387,7 +381,6 @@ LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const Label
     : training_(training),
       pipeline_(*training.session().pipeline),
       options_(options),
-      learner_(pipeline_),
       logit_of_class_(training.session().logit_of_class()) {
   const Session& session = training.session();
   std::int64_t pixels = 0;
@@ -413,7 +406,7 @@ LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const Label
   ignored_.resize(views_.size());
   const double stride = std::sqrt(static_cast<double>(pixels) / static_cast<double>(options.map_rays));
   stride_ = std::clamp(static_cast<std::int32_t>(std::ceil(stride)), 2, std::max(2, shortest / 8));
-  live_.assign(static_cast<std::size_t>(learner_.classes()), false);
+  live_.assign(static_cast<std::size_t>(classes()), false);
 }
 
 bool LabelLoop::due(const PoolView& view) const { return view.map.empty() || is_stale(view.map, training_.step()); }
@@ -444,7 +437,7 @@ void LabelLoop::make_pool() {
                             std::clamp<std::int64_t>(pixels / kCellPixels, 1, options_.pool_points));
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
-  pool_rows_ = learner_.rows_at(positions);
+  pool_rows_ = point_rows(pipeline_, positions);
   graph_ = SurfaceGraph(pool_, options_.graph);
   renew_places();
   settle_seeds();
@@ -454,7 +447,7 @@ void LabelLoop::make_pool() {
 void LabelLoop::predict_pool() {
   pool_probability_.clear();
   if (!learned_) return;
-  pool_probability_ = learner_.probabilities(pool_rows_, live_);
+  pool_probability_ = network_probabilities(pool_rows_);
   std::vector<std::int32_t> points(pool_.points.size());
   std::iota(points.begin(), points.end(), 0);
   weigh_by_way(points, temperature_, pool_probability_);
@@ -480,8 +473,15 @@ void LabelLoop::weigh_by_way(std::span<const std::int32_t> points, double temper
   });
 }
 
+// Classes without labels have none.
+std::vector<float> LabelLoop::network_probabilities(const PointRows& rows) const {
+  std::vector<float> values = point_logits(pipeline_, rows);
+  softmax_live(values, classes(), live_);
+  return values;
+}
+
 std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<const Vec3d> places, double temperature) {
-  std::vector<float> out = learner_.probabilities(rows, live_);
+  std::vector<float> out = network_probabilities(rows);
   std::vector<std::int32_t> points(places.size());
   const WorkScope scope(pipeline_.options().work);
   for_each_index(places.size(), [&](std::size_t i) { points[i] = pool_.cells.near(places[i]); });
@@ -612,7 +612,7 @@ LabelLoop::Named LabelLoop::named_points(std::span<const LabelledPixels> clicks,
       named.weight.push_back(weight);
     }
   }
-  named.rows = learner_.rows_at(named.position);
+  named.rows = point_rows(pipeline_, named.position);
   return named;
 }
 
@@ -652,7 +652,7 @@ void LabelLoop::learn_from(Named named, std::int64_t steps) {
   add_spread(named);
   PointLearning learning = options_.learning;
   learning.steps = steps;
-  learner_.learn(named.rows, named.logit, named.weight, learning);
+  learn_points(pipeline_, named.rows, named.logit, named.weight, learning);
   learned_ = !named.logit.empty();
 }
 
@@ -709,7 +709,7 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
   const Named named = named_points(clicks);
   // Clicks lie where there was doubt: each counts for the surface that it stands for.
   const std::vector<double> area = areas_of(clicks.size(), named);
-  const PointLearner::Kept kept = learner_.keep();
+  const KeptSemantics kept = keep_semantics(pipeline_);
   const auto before = std::tuple(live_, seeds_, learned_);
   learn_from(named_points(clicks, left_out), options_.learning.steps);
   std::vector<Vec3d> places;
@@ -721,12 +721,12 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
     places.push_back(named.position[i]);
     held.push_back({{}, static_cast<std::size_t>(named.logit[i]), area[click]});
   }
-  const std::vector<float> found = probabilities(learner_.rows_at(places), places, 1);
+  const std::vector<float> found = probabilities(point_rows(pipeline_, places), places, 1);
   for (std::size_t i = 0; i < held.size(); ++i) {
     const auto row = found.begin() + static_cast<std::ptrdiff_t>(i) * classes();
     held[i].probability.assign(row, row + classes());
   }
-  learner_.put_back(kept);
+  put_back(pipeline_, kept);
   std::tie(live_, seeds_, learned_) = before;
   settle_seeds();
   return held;
@@ -751,7 +751,7 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
       positions[k] =
           point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
     });
-    const std::vector<float> probability = probabilities(learner_.rows_at(positions), positions, temperature_);
+    const std::vector<float> probability = probabilities(point_rows(pipeline_, positions), positions, temperature_);
     const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
     const auto width = static_cast<std::size_t>(classes());
     const double most = most_entropy();

@@ -39,38 +39,29 @@ struct PointLearning {
   std::uint64_t seed = 1;       ///< of the order of points and of dropout
 };
 
-/// Works on the semantic tensors of the pipeline's last pass where its executor runs (execution/render_rays.h).
-/// Nothing else of the pipeline may run meanwhile.
-class PointLearner {
- public:
-  /// Borrows the pipeline, which must be trainable and have semantics.
-  explicit PointLearner(Pipeline<float>& pipeline);
+// Points are learned by the semantic tensors of the pipeline's last pass where its executor runs
+// (execution/render_rays.h). The pipeline must have semantics, to learn be trainable, and nothing else of it may run
+// meanwhile.
 
-  std::int32_t classes() const { return classes_; }
-  /// What the network reads at world positions. Valid while the geometry stays.
-  PointRows rows_at(std::span<const Vec3d> positions);
+/// Columns of logits.
+std::int32_t point_classes(const Pipeline<float>& pipeline);
 
-  /// Puts the semantic tensors back to where the run began and learns the points: rows, and a logit each. A
-  /// class is drawn by PointLearning::class_power, a point of it by `weight` (empty: all alike). The
-  /// moments of the optimiser are zero afterwards. The same bits for any number of threads.
-  void learn(const PointRows& rows, std::span<const std::int16_t> logit, std::span<const float> weight,
-             const PointLearning& options);
+/// What the network reads at world positions. Valid while the geometry stays.
+PointRows point_rows(Pipeline<float>& pipeline, std::span<const Vec3d> positions);
 
-  /// The semantic tensors with their moments, to be put back as they were.
-  using Kept = std::vector<std::vector<float>>;
-  Kept keep() const;
-  void put_back(const Kept& kept);
+/// Puts the semantic tensors back to where the run began and learns the points: rows, and a logit each. A class is
+/// drawn by PointLearning::class_power, a point of it by `weight` (empty: all alike). The moments of the optimiser are
+/// zero afterwards. The same bits for any number of threads.
+void learn_points(Pipeline<float>& pipeline, const PointRows& rows, std::span<const std::int16_t> logit,
+                  std::span<const float> weight, const PointLearning& options);
 
-  /// Class probabilities [N, classes] of points; logits whose entry of `live` is false get none.
-  std::vector<float> probabilities(const PointRows& rows, const std::vector<bool>& live);
-  /// logits [N, classes].
-  std::vector<float> logits(const PointRows& rows);
+/// The semantic tensors with their moments, to be put back as they were.
+using KeptSemantics = std::vector<std::vector<float>>;
+KeptSemantics keep_semantics(Pipeline<float>& pipeline);
+void put_back(Pipeline<float>& pipeline, const KeptSemantics& kept);
 
- private:
-  Pipeline<float>& pipeline_;
-  std::int32_t classes_ = 0;
-  std::vector<Tensor<float>*> tensors_;  // semantic, with gradients
-};
+/// [N, point_classes] of points.
+std::vector<float> point_logits(Pipeline<float>& pipeline, const PointRows& rows);
 
 /// Probabilities from logits, in place: [N, classes].
 void softmax_live(std::span<float> logits, std::int32_t classes, const std::vector<bool>& live);
@@ -301,7 +292,7 @@ class LabelLoop {
 
   /// [N, classes()] of the pool's points; empty while nothing is learned.
   const std::vector<float>& pool_probability() const { return pool_probability_; }
-  std::int32_t classes() const { return learner_.classes(); }
+  std::int32_t classes() const { return point_classes(pipeline_); }
 
   /// By the view's map, or by `fine` where it is given. Pixels that somebody has named are what they were named.
   ViewLabels labels_of(int view, const SurfaceMap* fine = nullptr);
@@ -351,6 +342,7 @@ class LabelLoop {
   std::vector<PixelPlace> one_a_cell(const LabelledPixels& stroke) const;
   std::vector<PixelPlace> pixels_of(const LabelledPixels& click) const;
   void look_for(Known& known, const LabelledPixels& click);
+  std::vector<float> network_probabilities(const PointRows& rows) const;
   void predict_pool();
   void make_pool();
   bool due(const PoolView& view) const;
@@ -366,7 +358,6 @@ class LabelLoop {
   SurfaceGraph graph_;
   PointRows pool_rows_;
   std::int64_t pool_step_ = 0;
-  PointLearner learner_;
   std::uint64_t age_ = 1, turn_ = 0;
   std::int64_t found_ = 0;
   std::unordered_map<std::uint64_t, Known> known_;  // by a checksum of view and pixels

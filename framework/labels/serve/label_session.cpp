@@ -66,29 +66,16 @@ std::vector<int> held_out_frames(const Session& session) {
 
 }  // namespace
 
-LabelRun::LabelRun(std::unique_ptr<Run> run)
-    : run_(std::move(run)),
-      training_(run_->training()),
-      loop_(training_, training_.session().drawn_frames(), {}, held_out_frames(training_.session())),
-      pictures_(training_, loop_) {
-  view_of_frame_.assign(session().scene.frames.size(), -1);
-  for (std::size_t v = 0; v < loop_.views().size(); ++v)
-    view_of_frame_[static_cast<std::size_t>(loop_.views()[v].frame)] = static_cast<int>(v);
-  marked_.assign(session().scene.frames.size(), 0);
-  named_.resize(session().scene.frames.size());
-  given_ = given_labels();
-}
-
 // Pixels that the configuration's own labels name, some of every class in every frame.
-std::vector<LabelledPixels> LabelRun::given_labels() const {
+std::vector<LabelledPixels> LabelSession::given_labels() const {
   std::vector<LabelledPixels> out;
   std::size_t total = 0;
   for (std::size_t v = 0; v < loop_.pooled().size() && total < kMostGiven; ++v) {
     const auto frame = static_cast<std::size_t>(loop_.views()[v].frame);
-    if (frame >= session().labels.unclicked.size()) continue;
-    const TrainingLabels::Frame& labels = session().labels.unclicked[frame];
+    if (frame >= opened().labels.unclicked.size()) continue;
+    const TrainingLabels::Frame& labels = opened().labels.unclicked[frame];
     if (labels.empty()) continue;
-    std::vector<std::vector<std::uint32_t>> of(static_cast<std::size_t>(session().classes()));
+    std::vector<std::vector<std::uint32_t>> of(static_cast<std::size_t>(opened().classes()));
     for (std::size_t p = 0; p < labels.size(); ++p)
       if (labels[p] >= 0) of[static_cast<std::size_t>(labels[p])].push_back(static_cast<std::uint32_t>(p));
     const std::int32_t width = loop_.views()[v].photo->width_px;
@@ -107,13 +94,13 @@ std::vector<LabelledPixels> LabelRun::given_labels() const {
   return out;
 }
 
-LabelledPixels LabelRun::labelled(const Annotations::Mark& mark, std::span<const std::int16_t> painted) const {
-  const Camera& camera = session().scene.info.frames[static_cast<std::size_t>(mark.frame)].camera;
+LabelledPixels LabelSession::labelled(const Annotations::Mark& mark, std::span<const std::int16_t> painted) const {
+  const Camera& camera = opened().scene.info.frames[static_cast<std::size_t>(mark.frame)].camera;
   return {view_of(mark.frame), static_cast<std::int16_t>(mark.class_index),
           pixels_of(mark, camera.width_px, camera.height_px, painted)};
 }
 
-void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> changed) {
+void LabelSession::name_pixels(const Annotations& annotations, std::span<const int> changed) {
   std::vector<std::vector<std::int16_t>> painted(view_of_frame_.size());
   for (const int f : changed) named_[static_cast<std::size_t>(f)].clear();
   for (const Annotations::Mark& mark : annotations.marks()) {
@@ -130,11 +117,11 @@ void LabelRun::name_pixels(const Annotations& annotations, std::span<const int> 
     clicks_.insert(clicks_.end(), of_frame.begin(), of_frame.end());
 }
 
-void LabelRun::ignore_pixels(const Annotations& annotations, std::span<const int> frames) {
+void LabelSession::ignore_pixels(const Annotations& annotations, std::span<const int> frames) {
   for (const int frame : frames) {
     const auto f = static_cast<std::size_t>(frame);
     if (view_of_frame_[f] < 0) continue;
-    const Camera& camera = session().scene.info.frames[f].camera;
+    const Camera& camera = opened().scene.info.frames[f].camera;
     std::vector<std::int16_t> labels(static_cast<std::size_t>(std::int64_t{camera.width_px} * camera.height_px), 0);
     std::vector<bool> ignored;
     if (annotations.clear_ignored(frame, camera.width_px, camera.height_px, labels))
@@ -144,7 +131,7 @@ void LabelRun::ignore_pixels(const Annotations& annotations, std::span<const int
   }
 }
 
-void LabelRun::take(const Annotations& annotations) {
+void LabelSession::take(const Annotations& annotations) {
   const std::vector<std::uint64_t> sums = checksums(annotations, marked_.size());
   std::vector<int> changed;
   for (std::size_t f = 0; f < sums.size(); ++f)
@@ -176,7 +163,7 @@ void LabelRun::take(const Annotations& annotations) {
   ask();
 }
 
-bool LabelRun::learn_new(double budget_s) {
+bool LabelSession::learn_new(double budget_s) {
   if (!unlearned_ || !loop_.ready() || !loop_.find_places(clicks_, budget_s)) return false;
   loop_.learn(clicks_, true);
   unlearned_ = false;
@@ -185,7 +172,7 @@ bool LabelRun::learn_new(double budget_s) {
 }
 
 // True when the temperature has changed.
-bool LabelRun::fit_a_fold() {
+bool LabelSession::fit_a_fold() {
   const std::size_t own = clicks_.size() - given_.size();
   if (own < kLeastToFit || own * 2 < fitted_at_ * 3) return false;
   for (HeldBack& held : loop_.hold_back(clicks_, fold_)) held_back_.push_back(std::move(held));
@@ -198,10 +185,10 @@ bool LabelRun::fit_a_fold() {
   return temperature.has_value();
 }
 
-void LabelRun::ask() {
+void LabelSession::ask() {
   proposal_.reset();
   if (!loop_.ready()) return;
-  const std::optional<Asked> asked = loop_.propose(session().config.runtime.seed, asked_++);
+  const std::optional<Asked> asked = loop_.propose(opened().config.runtime.seed, asked_++);
   if (!asked) return;
   const PoolPoint& point = loop_.pool().points[static_cast<std::size_t>(asked->point)];
   proposal_ = {.id = fmt::format("q{}", asked_),
@@ -211,15 +198,15 @@ void LabelRun::ask() {
   if (const std::vector<float>& p = loop_.pool_probability(); !p.empty()) {
     const auto row = p.begin() + std::ptrdiff_t{asked->point} * loop_.classes();
     const std::ptrdiff_t best = std::max_element(row, row + loop_.classes()) - row;
-    proposal_->class_guess = session().plan.class_of_logit[static_cast<std::size_t>(best)];
+    proposal_->class_guess = opened().plan.class_of_logit[static_cast<std::size_t>(best)];
   }
 }
 
-bool LabelRun::still_learns() const {
+bool LabelSession::still_learns() const {
   return !training_.at_its_end() || (changed_step_ >= 0 && training_.step() < changed_step_ + kAfterChange);
 }
 
-bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) {
+bool LabelSession::train(double budget_s, const std::function<bool()>& interrupted) {
   if (!still_learns()) return false;
   const double before = training_.train_s();
   const auto most = static_cast<std::int64_t>(std::clamp(budget_s / std::max(step_s_, 1e-5), 1.0, 256.0));
@@ -237,11 +224,11 @@ bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) 
   const double spent = training_.train_s() - before;
   step_s_ = 0.8 * step_s_ + 0.2 * spent / static_cast<double>(made);
   training_s_ += spent;
-  rays_per_s_ = static_cast<double>(session().config.train.rays) / step_s_;
+  rays_per_s_ = static_cast<double>(opened().config.train.rays) / step_s_;
   return true;
 }
 
-bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
+bool LabelSession::tend(bool looked_at, bool pause, bool quiet) {
   if (training_.step() < kFirstSurface && !training_.at_its_end()) return false;
   const Clock::time_point start = Clock::now();
   const bool trains = still_learns(), was_ready = loop_.ready();
@@ -275,10 +262,10 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
   return changed;
 }
 
-void LabelRun::describe(LabelState& state) const {
-  state.name = session().config.name;
+void LabelSession::describe(LabelState& state) const {
+  state.name = opened().config.name;
   state.run_dir = run_->run_dir();
-  state.device = session().pipeline->executor().description();
+  state.device = opened().pipeline->executor().description();
   state.step = training_.step();
   state.train_s = training_.train_s();
   state.loss = loss_;
@@ -304,16 +291,16 @@ void LabelRun::describe(LabelState& state) const {
   }
 }
 
-void LabelRun::summarise() {
+void LabelSession::summarise() {
   const std::vector<float>& probability = loop_.pool_probability();
   const auto width = static_cast<std::size_t>(loop_.classes());
   const std::size_t points = loop_.pool().points.size();
-  std::vector<double> count(static_cast<std::size_t>(session().classes()), 0), sure(count), entropy(points, 1);
+  std::vector<double> count(static_cast<std::size_t>(opened().classes()), 0), sure(count), entropy(points, 1);
   const double most = loop_.most_entropy();
   for (std::size_t i = 0; i < points && !probability.empty(); ++i) {
     const std::span<const float> row = std::span(probability).subspan(i * width, width);
     const auto best = static_cast<std::size_t>(std::max_element(row.begin(), row.end()) - row.begin());
-    const auto cls = static_cast<std::size_t>(session().plan.class_of_logit[best]);
+    const auto cls = static_cast<std::size_t>(opened().plan.class_of_logit[best]);
     count[cls] += 1;
     sure[cls] += static_cast<double>(row[best]);
     entropy[i] = std::min(1.0, entropy_nats(row) / most);
@@ -334,9 +321,9 @@ void LabelRun::summarise() {
   }
 }
 
-bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
+bool LabelSession::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
 
-void LabelRun::keep(bool checkpoint) {
+void LabelSession::keep(bool checkpoint) {
   failed_to_keep_ = Clock::now();
   run_->write_rows();
   run_->write_classes();
@@ -383,9 +370,8 @@ class Noting final : public RunListener {
   RunListener* told_;
 };
 
-// `warnings`: of while it was opened.
-std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                                    RunListener* listener, std::vector<std::string>& warnings) {
+LabelledRun open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                         RunListener* listener) {
   TrainRequest request;
   request.driver = Driver::page;
   request.out_dir = options.run_dir;
@@ -399,33 +385,44 @@ std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const 
   if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
   Noting noting(listener);
   auto run = std::make_unique<Run>(std::move(config), registry, request, listener, &noting);
-  warnings = std::move(noting.warnings);
-  return run;
+  return {std::move(run), std::move(noting.warnings)};
 }
 
 }  // namespace
 
 LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
                            RunListener* listener)
-    : run_(open_labelling(std::move(config), registry, options, listener, warnings_)),
-      annotations_(*run_.annotations()),
+    : LabelSession(open_labelling(std::move(config), registry, options, listener)) {}
+
+LabelSession::LabelSession(LabelledRun labelled_run)
+    : run_(std::move(labelled_run.run)),
+      training_(run_->training()),
+      loop_(training_, opened().drawn_frames(), {}, held_out_frames(opened())),
+      pictures_(training_, loop_),
+      view_of_frame_(opened().scene.frames.size(), -1),
+      named_(view_of_frame_.size()),
+      marked_(view_of_frame_.size(), 0),
+      annotations_(*run_->annotations()),
       log_([&] {
         Diagnostics ignored;  // stated when the scene was opened by the file
         return open_click_log(opened().config.labels, run_dir(), ignored);
       }()),
       last_event_(Clock::now() - kQuietAfter),
       last_look_(Clock::now() - kLookedFor) {
+  for (std::size_t v = 0; v < loop_.views().size(); ++v)
+    view_of_frame_[static_cast<std::size_t>(loop_.views()[v].frame)] = static_cast<int>(v);
+  given_ = given_labels();
   auto first = std::make_shared<LabelState>();
-  for (const PoolView& view : run_.loop().views()) {
+  for (const PoolView& view : loop_.views()) {
     const FrameInfo& info = opened().scene.info.frames[static_cast<std::size_t>(view.frame)];
     const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
     first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false,
                             fmt::format("{:08x}", checksum), info.split == Split::test});
   }
   first->events = log_.events().size();
-  first->notes = warnings_;
+  first->notes = std::move(labelled_run.warnings);
   name_classes(*first);
-  run_.describe(*first);
+  describe(*first);
   first->revision = 1;
   state_ = std::move(first);
 }
@@ -612,15 +609,15 @@ void LabelSession::take_events() {
     now = annotations_;
   }
   taken_events_ = events;
-  run_.take(*now);
+  take(*now);
   publish_learned(true);
 }
 
 // What `run_` has come to; `labels`: those of views are other ones.
 void LabelSession::publish_learned(bool labels) {
   publish([&](LabelState& next) {
-    run_.describe(next);
-    if (run_.knows_all() && taken_events_) next.overlay_events = *taken_events_;
+    describe(next);
+    if (knows_all() && taken_events_) next.overlay_events = *taken_events_;
     if (labels) next.overlay_revision = next.revision + 1;
   });
 }
@@ -640,8 +637,8 @@ void LabelSession::serve_orders() {
   }
   std::optional<Picture> made;
   std::optional<Error> error = error_of([&] {
-    run_.pictures().begin(order->request);
-    made = run_.pictures().work(kTurn_s);
+    pictures_.begin(order->request);
+    made = pictures_.work(kTurn_s);
   });
   while (!made && !error) {
     {
@@ -649,8 +646,8 @@ void LabelSession::serve_orders() {
       if (order->done() || stopping_) return;
     }
     attempt([&] { take_events(); });  // a click does not wait for a large picture
-    if (!failure_) attempt([&] { (void)run_.train(kTurn_s); });
-    error = error_of([&] { made = run_.pictures().work(kTurn_s); });
+    if (!failure_) attempt([&] { (void)train(kTurn_s); });
+    error = error_of([&] { made = pictures_.work(kTurn_s); });
   }
   if (made) made->overlay_revision = overlay;
   const std::lock_guard lock(mutex_);
@@ -665,12 +662,12 @@ void LabelSession::save_if_wanted() {
   {
     const std::lock_guard lock(mutex_);
     wanted_now = saves_wanted_;
-    if (wanted_now == saves_made_ && (failure_ || !run_.keep_is_due())) return;
-    if (wanted_now != saves_made_ && !failure_ && !stopping_ && !run_.knows_all()) return;  // soon it does
+    if (wanted_now == saves_made_ && (failure_ || !keep_is_due())) return;
+    if (wanted_now != saves_made_ && !failure_ && !stopping_ && !knows_all()) return;  // soon it does
   }
   std::optional<Error> error = error_of([&] {
-    run_.keep(wanted_now != saves_made_);
-    if (wanted_now != saves_made_) run_.write_record(*state());
+    keep(wanted_now != saves_made_);
+    if (wanted_now != saves_made_) write_record(*state());
   });
   const bool passes = error && is_write_error(*error);
   if (error && !passes && wanted_now == saves_made_) return fail(*error);
@@ -717,7 +714,7 @@ void LabelSession::run() {
     save_if_wanted();
     if (!failure_) {
       attempt([&] {
-        busy = run_.train(kTurn_s, [&] { return is_waited_for(); });
+        busy = train(kTurn_s, [&] { return is_waited_for(); });
         if (is_waited_for() && ++hurries <= kMostHurries) return;
         hurries = 0;
         std::unique_lock lock(mutex_);
@@ -725,7 +722,7 @@ void LabelSession::run() {
         const bool looked_at = now - last_look_ < kLookedFor;
         const Clock::duration quiet = now - last_event_;
         lock.unlock();
-        overlay = run_.tend(looked_at, quiet > kPauseAfter, quiet > kQuietAfter);
+        overlay = tend(looked_at, quiet > kPauseAfter, quiet > kQuietAfter);
       });
     }
     untold = untold || busy || overlay;
@@ -741,8 +738,8 @@ void LabelSession::run() {
   }
   attempt([&] { take_events(); });
   if (failure_) return;
-  run_.keep(true);
-  run_.write_record(*state());
+  keep(true);
+  write_record(*state());
 }
 
 namespace {
@@ -795,7 +792,7 @@ void write_pictures(const RunFolder& folder, const Session& session, LabelLoop& 
 
 }  // namespace
 
-void LabelRun::write_record(LabelState state) {
+void LabelSession::write_record(LabelState state) {
   describe(state);
   LabellingRecord record;
   record.step = state.step;
@@ -817,11 +814,11 @@ void LabelRun::write_record(LabelState state) {
   for (const int view : views) {
     const std::vector<const Mark*>& of_view = clicks_of(view);
     if (of_view.empty() || record.shown.size() == kShown) break;
-    write_pictures(folder(), session(), loop_, view, of_view);
+    write_pictures(*run_->folder(), opened(), loop_, view, of_view);
     const auto frame = static_cast<std::size_t>(loop_.view(view).frame);
-    record.shown.push_back({session().scene.info.frames[frame].name, std::ssize(of_view)});
+    record.shown.push_back({opened().scene.info.frames[frame].name, std::ssize(of_view)});
   }
-  write_file_atomic(folder().labelling_path(), labelling_record_json(record));
+  write_file_atomic(run_->folder()->labelling_path(), labelling_record_json(record));
 }
 
 }  // namespace semfield

@@ -25,86 +25,6 @@
 
 namespace semfield {
 
-/// What the thread of a labelling session does that trains: steps, what is learned from clicks between them, and the
-/// run's folder.
-class LabelRun {
- public:
-  /// `run`, by Driver::page, has a folder and room for classes (scene.labels.class_room), so its network has semantics.
-  explicit LabelRun(std::unique_ptr<Run> run);
-
-  const Session& session() const { return training_.session(); }
-  const RunFolder& folder() const { return *run_->folder(); }
-  const Annotations* annotations() const { return run_->annotations(); }
-  const LabelLoop& loop() const { return loop_; }
-  /// Number of the view that shows a frame of the scene; -1: none.
-  int view_of(int frame) const { return view_of_frame_[static_cast<std::size_t>(frame)]; }
-  ViewPictures& pictures() { return pictures_; }
-  std::int64_t step() const { return training_.step(); }
-
-  /// Labels, semantics and the next question are those of `annotations` from now on; where many clicks are new, the
-  /// semantics follow in the course of tend().
-  void take(const Annotations& annotations);
-  /// The semantics know all that was taken, as far as there is a surface.
-  bool knows_all() const { return !unlearned_ || !loop_.ready(); }
-  /// Trains for about this long, or until `interrupted` after some steps, while there is something to train; false:
-  /// there is not.
-  bool train(double budget_s, const std::function<bool()>& interrupted = {});
-  /// Surfaces that are due, within the fraction of time that training grants them; clicks whose places are found; in a
-  /// pause between clicks what was learned quickly is learned well; when nobody has clicked for long a fold of the
-  /// clicks for the temperature. True when labels or questions have changed.
-  bool tend(bool looked_at, bool pause, bool quiet);
-  /// Everything of the state but events, marks and names.
-  void describe(LabelState& state) const;
-  /// Rows of the log and classes.yaml, where they have changed, and a checkpoint where one is due or `checkpoint`
-  /// requires for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
-  void keep(bool checkpoint);
-  bool keep_is_due() const;
-  /// For the run's report: labelling.json and the pictures of the frames with the most clicks, photograph with clicks,
-  /// labels, entropy. `state` has the classes and marks. Throws write_error.
-  void write_record(LabelState state);
-
- private:
-  using Clock = std::chrono::steady_clock;
-  // What the pool's probabilities add up to; made when they change.
-  struct Summary {
-    std::vector<double> area, sure;  // of classes: fraction of the surface, and mean confidence
-    std::vector<double> entropy;     // of views
-  };
-  void summarise();
-  bool still_learns() const;
-  void ask();
-  // Once the places of the clicks are known, which are looked for for about this long; true when it has learned.
-  bool learn_new(double budget_s);
-  bool fit_a_fold();
-  // A mark with its pixels; with `painted` those alone that still have its class.
-  LabelledPixels labelled(const Annotations::Mark& mark, std::span<const std::int16_t> painted = {}) const;
-  void name_pixels(const Annotations& annotations, std::span<const int> changed);
-  std::vector<LabelledPixels> given_labels() const;
-  // What nobody shall name in these frames.
-  void ignore_pixels(const Annotations& annotations, std::span<const int> frames);
-
-  std::unique_ptr<Run> run_;
-  Trainer& training_;
-  LabelLoop loop_;
-  ViewPictures pictures_;
-  std::vector<int> view_of_frame_;
-  std::vector<LabelledPixels> clicks_;  // and given labels
-  std::vector<LabelledPixels> given_;
-  std::vector<std::vector<LabelledPixels>> named_;  // of each frame, by its marks
-  std::vector<std::uint64_t> marked_;               // frames, by a checksum of their marks, to see which have changed
-  bool taken_ = false, unlearned_ = false, learned_quickly_ = false;
-  std::uint64_t skips_ = 0;  // a checksum of their ids
-  std::size_t fitted_at_ = 0;
-  int fold_ = 0;  // of the fit that is under way
-  std::vector<HeldBack> held_back_;
-  std::optional<ProposalState> proposal_;
-  std::uint64_t asked_ = 0;
-  std::int64_t changed_step_ = -1;
-  double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
-  Summary summary_;
-  std::optional<Clock::time_point> failed_to_keep_;
-};
-
 /// What a page asks of a labelling session, from several threads at once.
 class LabelSource {
  public:
@@ -135,30 +55,37 @@ struct LabelSessionOptions {
   int class_room = 0;   ///< most classes; 0: 32. Never fewer than the scene has
 };
 
+/// By Driver::page, with a folder and room for classes (scene.labels.class_room), so its network has semantics.
+struct LabelledRun {
+  std::unique_ptr<Run> run;
+  std::vector<std::string> warnings;  ///< of while it was opened
+};
+
 /// The run's folder holds run.yaml, clicks.jsonl, metrics.jsonl and checkpoints, so every verb works on it while the
 /// session goes on and afterwards.
 class LabelSession final : public LabelSource {
  public:
   /// Opens scene and run; `listener` may be null. Throws as open_session and Trainer do.
   LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, RunListener* listener);
+  explicit LabelSession(LabelledRun run);
 
   bool apply(const LabelEvent& event) override;
   std::shared_ptr<const LabelState> state() const override;
   std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override;
   Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {}) override;
   Image<std::uint8_t> photo(int view, std::int32_t most_px) override;
-  int view_of(int frame) const override { return run_.view_of(frame); }
+  int view_of(int frame) const override { return view_of_frame_[static_cast<std::size_t>(frame)]; }
   void save() override;
 
   // From any thread too:
 
   /// The view's frame, in SceneInfo::frames.
-  int frame_of(int view) const { return run_.loop().views().at(static_cast<std::size_t>(view)).frame; }
+  int frame_of(int view) const { return loop_.views().at(static_cast<std::size_t>(view)).frame; }
   /// run() returns after its checkpoint.
   void stop();
-  const std::string& run_dir() const { return run_.folder().path(); }
+  const std::string& run_dir() const { return run_->folder()->path(); }
   /// What was opened; its frames and cameras do not change, all else belongs to the thread that trains.
-  const Session& opened() const { return run_.session(); }
+  const Session& opened() const { return training_.session(); }
 
   /// Trains until stop(), or until an error, which is in the state then; pictures and events go on until stop(). Files
   /// that cannot be written end nothing: the state says so, and they are tried again. Throws write_error where the last
@@ -166,6 +93,35 @@ class LabelSession final : public LabelSource {
   void run();
   /// What training has ended with, once run() has returned.
   std::optional<Error> failure() const { return failure_; }
+
+  // Of the thread that trains, which run() is:
+
+  const LabelLoop& loop() const { return loop_; }
+  ViewPictures& pictures() { return pictures_; }
+  std::int64_t step() const { return training_.step(); }
+  /// Copies the events that have come, and learns from them.
+  void take_events();
+  /// Labels, semantics and the next question are those of `annotations` from now on; where many clicks are new, the
+  /// semantics follow in the course of tend().
+  void take(const Annotations& annotations);
+  /// The semantics know all that was taken, as far as there is a surface.
+  bool knows_all() const { return !unlearned_ || !loop_.ready(); }
+  /// Trains for about this long, or until `interrupted` after some steps, while there is something to train; false:
+  /// there is not.
+  bool train(double budget_s, const std::function<bool()>& interrupted = {});
+  /// Surfaces that are due, within the fraction of time that training grants them; clicks whose places are found; in a
+  /// pause between clicks what was learned quickly is learned well; when nobody has clicked for long a fold of the
+  /// clicks for the temperature. True when labels or questions have changed.
+  bool tend(bool looked_at, bool pause, bool quiet);
+  /// Everything of the state but events, marks and names.
+  void describe(LabelState& state) const;
+  /// Rows of the log and classes.yaml, where they have changed, and a checkpoint where one is due or `checkpoint`
+  /// requires for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
+  void keep(bool checkpoint);
+  bool keep_is_due() const;
+  /// For the run's report: labelling.json and the pictures of the frames with the most clicks, photograph with clicks,
+  /// labels, entropy. `state` has the classes and marks. Throws write_error.
+  void write_record(LabelState state);
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -177,14 +133,31 @@ class LabelSession final : public LabelSource {
     bool done() const { return made || error; }
   };
 
+  // What the pool's probabilities add up to; made when they change.
+  struct Summary {
+    std::vector<double> area, sure;  // of classes: fraction of the surface, and mean confidence
+    std::vector<double> entropy;     // of views
+  };
+  void summarise();
+  bool still_learns() const;
+  void ask();
+  // Once the places of the clicks are known, which are looked for for about this long; true when it has learned.
+  bool learn_new(double budget_s);
+  bool fit_a_fold();
+  // A mark with its pixels; with `painted` those alone that still have its class.
+  LabelledPixels labelled(const Annotations::Mark& mark, std::span<const std::int16_t> painted = {}) const;
+  void name_pixels(const Annotations& annotations, std::span<const int> changed);
+  std::vector<LabelledPixels> given_labels() const;
+  // What nobody shall name in these frames.
+  void ignore_pixels(const Annotations& annotations, std::span<const int> frames);
+
   void poke();
   template <class Change>
   void publish(const Change& change);
   bool is_waited_for() const;
   void name_classes(LabelState& next) const;
   std::unique_ptr<Dataset> open_dataset() const;
-  // Of the thread that trains: it takes clicks, serves pictures, saves, and publishes the state.
-  void take_events();
+  // Of the thread that trains: it serves pictures, saves, and publishes the state.
   void publish_learned(bool labels);
   void serve_orders();
   void save_if_wanted();
@@ -192,8 +165,27 @@ class LabelSession final : public LabelSource {
   void attempt(const Work& work);
   void fail(const Error& error);
 
-  std::vector<std::string> warnings_;  // of while the run was opened
-  LabelRun run_;                       // of the thread that trains
+  // Of the thread that trains.
+  std::unique_ptr<Run> run_;
+  Trainer& training_;
+  LabelLoop loop_;
+  ViewPictures pictures_;
+  std::vector<int> view_of_frame_;
+  std::vector<LabelledPixels> clicks_;  // and given labels
+  std::vector<LabelledPixels> given_;
+  std::vector<std::vector<LabelledPixels>> named_;  // of each frame, by its marks
+  std::vector<std::uint64_t> marked_;               // frames, by a checksum of their marks, to see which have changed
+  bool taken_ = false, unlearned_ = false, learned_quickly_ = false;
+  std::uint64_t skips_ = 0;  // a checksum of their ids
+  std::size_t fitted_at_ = 0;
+  int fold_ = 0;  // of the fit that is under way
+  std::vector<HeldBack> held_back_;
+  std::optional<ProposalState> proposal_;
+  std::uint64_t asked_ = 0;
+  std::int64_t changed_step_ = -1;
+  double mse_ = 0, loss_ = 0, rays_per_s_ = 0, step_s_ = 0.01, tending_s_ = 0, refining_s_ = 0, training_s_ = 0;
+  Summary summary_;
+  std::optional<Clock::time_point> failed_to_keep_;
 
   // Of events. Held while one is stored, so it is never taken by the thread that trains for longer than a copy takes.
   std::mutex events_mutex_;
