@@ -335,15 +335,10 @@ constexpr double kAlikeDistance = 0.03;   // of the distance
 constexpr std::size_t kMostPixels = 256;  // of a stroke
 
 std::uint64_t key_of(const LabelledPixels& click) {
-  std::uint64_t hash = 0xcbf29ce484222325ull;
-  const auto mix = [&](std::uint64_t value) {
-    hash = (hash ^ value) * 0x100000001B3ull;
-    hash ^= hash >> 29;
-  };
-  mix(static_cast<std::uint64_t>(click.view));
+  std::uint64_t key = mix(0xcbf29ce484222325ull, static_cast<std::uint64_t>(click.view));
   for (const PixelPlace& p : click.pixels)
-    mix(static_cast<std::uint64_t>(p.row) << 32 | static_cast<std::uint32_t>(p.column));
-  return hash;
+    key = mix(key, static_cast<std::uint64_t>(p.row) << 32 | static_cast<std::uint32_t>(p.column));
+  return key;
 }
 
 constexpr float kMostLead = 6;           // of a way, beyond which it says no more

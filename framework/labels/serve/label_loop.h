@@ -121,6 +121,12 @@ struct ProposalInput {
 /// The click that would settle most: doubt summed over the surface that it would spread to. None for an empty pool.
 std::optional<Asked> choose_click(const ProposalInput& input);
 
+/// A checksum with one more value, to tell apart what is held in memory; no file has it.
+inline std::uint64_t mix(std::uint64_t sum, std::uint64_t value) {
+  sum = (sum ^ value) * 0x100000001B3ull;
+  return sum ^ sum >> 29;
+}
+
 inline double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }

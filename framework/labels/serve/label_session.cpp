@@ -45,8 +45,6 @@ constexpr std::size_t kGivenPixels = 48;     // of a class in a frame whose labe
 constexpr std::size_t kMostGiven = 6000;
 constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
-std::uint64_t mix(std::uint64_t hash, std::uint64_t value) { return (hash ^ value) * 0x100000001B3ull; }
-
 // Tells marks of a frame apart that paint something else.
 std::vector<std::uint64_t> checksums(const Annotations& annotations, std::size_t frames) {
   std::vector<std::uint64_t> sums(frames, 0);
