@@ -522,14 +522,15 @@ void require_clicks(const ClicksTrained& trained, const LabelConfig& labels, con
 }
 
 ClickLog open_click_log(const LabelConfig& labels, const std::string& run_dir, Diagnostics& diagnostics) {
-  const std::string file = labels.click_file();
+  const std::string own = (fs::path(run_dir) / kClickFile).string();
+  const std::string file = labels.selection.clicks.empty() ? own : labels.click_file();
   const fs::path folder = place_of(file).parent_path();
   if (folder != place_of(run_dir) && is_there(folder / "run.yaml")) {
     throw Error(ErrorKind::cannot_create, "labels.clicks.foreign",
                 fmt::format("the clicks in '{}' are those of another run, so none are added to them", file),
                 fmt::format("continue that run, or a copy of its folder; or name a file of this run's own: "
                             "--set scene.labels.clicks={}",
-                            shell_word((fs::path(run_dir) / kClickFile).string())));
+                            shell_word(own)));
   }
   ClickLog log = ClickLog::open(file, diagnostics);
   EventsKnown known;

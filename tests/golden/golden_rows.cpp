@@ -316,28 +316,21 @@ void print_labelling(Registry& registry, const TempDir& dir) {
   const auto train_to = [&](std::int64_t step) { run.train(1e9, [&] { return run.step() >= step; }); };
   train_to(60);
   while (!run.loop().ready()) run.tend(false, false, false);
-  Annotations annotations(*run.opened().config.labels.clicks);
-  run.take(annotations);
+  run.take_events();
   const SceneInfo& scene = run.opened().scene.info;
   const auto frame = [&](int view) -> const FrameInfo& {
     return scene.frames[static_cast<std::size_t>(run.loop().views()[static_cast<std::size_t>(view)].frame)];
   };
-  const std::string path = dir / "labelled/clicks.jsonl";
-  Diagnostics diagnostics;
-  {
-    ClickLog log = ClickLog::open(path, diagnostics);
-    for (const char* name : {"wall", "floor", "box"}) log.append(event(name, LabelEventKind::add_class, name));
-    log.append(click("a", frame(0), "wall", {{24.5, 5.5}}));
-    log.append(click("b", frame(0), "floor", {{20.5, 33.5}, {30.5, 34}}));
-    log.append(click("c", frame(3), "box", {{10, 10}, {20, 10}, {20, 22}, {10, 22}}));
-    log.append(click("d", frame(4), "floor", {{2.5, 2.5}}));
-    LabelEvent undo = event("e", LabelEventKind::undo, "");
-    undo.of = "d";
-    log.append(undo);
-  }
-  print("session/click_file", crc(read_text_file(path)));
-  for (const LabelEvent& read : read_click_log(path, diagnostics)) annotations.apply(read);
-  run.take(annotations);
+  for (const char* name : {"wall", "floor", "box"}) run.apply(event(name, LabelEventKind::add_class, name));
+  run.apply(click("a", frame(0), "wall", {{24.5, 5.5}}));
+  run.apply(click("b", frame(0), "floor", {{20.5, 33.5}, {30.5, 34}}));
+  run.apply(click("c", frame(3), "box", {{10, 10}, {20, 10}, {20, 22}, {10, 22}}));
+  run.apply(click("d", frame(4), "floor", {{2.5, 2.5}}));
+  LabelEvent undo = event("e", LabelEventKind::undo, "");
+  undo.of = "d";
+  run.apply(undo);
+  print("session/click_file", crc(read_text_file(dir / "labelled/clicks.jsonl")));
+  run.take_events();
   while (!run.knows_all()) run.tend(false, false, false);
   run.tend(false, true, false);  // a pause, in which what was learned quickly is learned well
   train_to(100);

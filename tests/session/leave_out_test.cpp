@@ -310,6 +310,7 @@ int lanes_of_preset(const std::string& name, const std::vector<std::string>& set
   Registry& registry = all_plugins();
   RunConfig config = load_run_config(SEMFIELD_SOURCE_DIR "/configs/" + name, set, registry);
   config.runtime.precision = Precision::fp32;
+  (void)choose_for_device(config, Device::cpu);
   SceneExtent extent{.bounds = {{-3, -3, -1}, {3, 3, 2}}, .near_m = 0.1, .far_m = 10, .pixel_footprint_m = 0.01};
   SceneManifest manifest{.classes = 13, .train_pixels = 1'000'000, .train_frames = 100, .labelled_frames = 100};
   manifest.train_class_pixels.assign(13, 70'000);
