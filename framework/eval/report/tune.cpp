@@ -595,7 +595,8 @@ std::string tuned_config(const TunePlan& plan, const TuneOutcome& outcome, const
 
 std::pair<std::string, std::string> tune_tables(const TunePlan& plan, const TuneOutcome& outcome) {
   const std::string title = "Tuning of " + std::filesystem::path(plan.path).stem().string();
-  const TuneAim &aim = tune_aim(plan.aim), &shown = tune_aim(aim.name == "time" ? "psnr" : aim.name);
+  const TuneAim& aim = tune_aim(plan.aim);
+  const TuneAim& shown = aim.name == "time" ? kAims.front() : aim;
   std::string note = fmt::format(
       "Scored on held-out training views, one pixel of {0} x {0}; test frames were not looked at. Best: {1}. ",
       plan.score_stride, choice_name(plan.axes, outcome.best));

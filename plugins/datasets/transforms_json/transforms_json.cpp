@@ -835,14 +835,15 @@ SceneInfo find_photographs(const TransformsJsonParams& params, PosedPhotographs&
   TransformsIndex index = read_transforms(root, params, diagnostics);
   const std::vector<TransformsFrame*> used = used_frames(index, root, diagnostics);
   choose_splits(used, params.test_every, root, diagnostics);
-  PhotographRules rules{.read = {.labels_key = "label_key",
-                                 .alpha_background = params.alpha_background,
-                                 .alpha_masks = params.alpha_masks},
-                        .opengl_files = true,
-                        .depth_unit_m = params.depth_unit_m,
-                        .labels_by_name = false,
-                        .class_file = index.classes,
-                        .class_list = index.class_list};
+  PhotographRules rules;
+  rules.read.labels_key = "label_key";
+  rules.read.alpha_background = params.alpha_background;
+  rules.read.alpha_masks = params.alpha_masks;
+  rules.opengl_files = true;
+  rules.depth_unit_m = params.depth_unit_m;
+  rules.labels_by_name = false;
+  rules.class_file = index.classes;
+  rules.class_list = index.class_list;
   read_depth_camera(index, root, rules.read, diagnostics);
   std::vector<PosedPhotograph> photos;
   for (const TransformsFrame* in : used) {
