@@ -837,6 +837,7 @@ SceneInfo find_photographs(const TransformsJsonParams& params, PosedPhotographs&
   choose_splits(used, params.test_every, root, diagnostics);
   PhotographRules rules;
   rules.read.labels_key = "label_key";
+  rules.read.depth = DepthGrid::image;
   rules.read.alpha_background = params.alpha_background;
   rules.read.alpha_masks = params.alpha_masks;
   rules.opengl_files = true;
