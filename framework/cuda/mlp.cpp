@@ -204,7 +204,7 @@ struct DeviceLayers {
 };
 
 template <class Act>
-using Walk = MlpWalk<DeviceLayers<Act>, Workspace>;
+using Walk = MlpWalk<DeviceLayers<Act>>;
 
 template <class Act>
 void forward(const MlpGraph& graph, Workspace& arena, const Tensors<float>& tensors, const MlpIn<float>& in,
@@ -256,8 +256,8 @@ void derive_backward(const MlpGraph& graph, const Tensors<float>& t) {
 }
 
 template <class Act>
-constexpr MlpKernels<float> kTable{
-    forward<Act>, backward<Act>, derive, derive_backward, Walk<Act>::saved_bytes, nullptr, DeviceLayers<Act>::kRounds};
+constexpr MlpKernels<float> kTable{forward<Act>,    backward<Act>,          derive,
+                                   derive_backward, Walk<Act>::saved_bytes, DeviceLayers<Act>::kRounds};
 
 // Heads of one hidden layer on the device. Everything is queued on launch().stream.
 

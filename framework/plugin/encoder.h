@@ -29,12 +29,6 @@ template <class Real>
 class Encoder : public Parametric<Real> {
  public:
   virtual EncoderTraits traits() const noexcept = 0;
-  /// Most bytes of ctx.workspace that one forward or one backward of M samples takes; as Field::scratch_bytes.
-  virtual std::size_t scratch_bytes(std::int64_t samples) const noexcept {
-    (void)samples;
-    return 0;
-  }
-
   /// y = encode(x). x [M, in_dims] float64, y [M, out_dims], overwritten. Runs inside one thread of a tile, or see
   /// EncoderTraits::whole_batch.
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const;

@@ -157,13 +157,6 @@ void check_saved(const char* call, Saved saved, std::size_t bytes) {
 }  // namespace
 
 template <class Real>
-std::int64_t Field<Real>::multiply_adds(std::int64_t samples, std::int64_t rays) const {
-  std::int64_t sum = 0;
-  for (const LayerShape& layer : layers()) sum += layer.multiply_adds(samples, rays);
-  return sum;
-}
-
-template <class Real>
 void Field<Real>::forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
                           const FieldOut<Real>& out, Saved saved) const {
   constexpr const char* kCall = "field.forward";

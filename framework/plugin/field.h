@@ -108,18 +108,8 @@ class Field : public Parametric<Real> {
   }
   /// Bytes that forward leaves for backward with M samples of R rays.
   virtual std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept = 0;
-  /// Most bytes of ctx.workspace that one forward or one backward takes; forward without `saved` may take saved_bytes
-  /// more. At most twice what a large batch takes, or the plan of a run's memory is of no use. A field built for a
-  /// device, whose memory is not planned ahead, may say 0.
-  virtual std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept {
-    (void)samples, (void)rays;
-    return 0;
-  }
   /// The matrix products of derive and of a forward that gives every output.
   virtual std::vector<LayerShape> layers() const { return {}; }
-  /// Multiply-adds of M samples of R rays: the sum over layers, unless a field says it without making a list.
-  virtual std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const;
-
   /// "runs layer by layer here; ...", and what the fast way needs, where it computes more slowly than it could: a run
   /// on a GPU asks its fields and warns.
   virtual std::string slow_path() const { return {}; }

@@ -13,32 +13,6 @@
 
 namespace semfield {
 
-/// As a Workspace of the CPU's memory, but it gives one piece of memory that nobody touches, and counts: what a call
-/// will take.
-class CountingArena {
- public:
-  std::byte* take_bytes(std::size_t bytes) {
-    used_ += (bytes > 0 ? bytes + 63 : 64) / 64 * 64;
-    if (used_ > most_) most_ = used_;
-    return nowhere_;
-  }
-  template <class T>
-  View<T> take(std::int64_t rows, std::int32_t cols) {
-    return {reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows * cols))), rows, cols};
-  }
-  std::size_t most() const { return most_; }
-  struct Scope : NonCopyable {
-    explicit Scope(CountingArena& of) : arena(of), used(of.used_) {}
-    ~Scope() { arena.used_ = used; }
-    CountingArena& arena;
-    std::size_t used;
-  };
-
- private:
-  alignas(64) std::byte nowhere_[64]{};
-  std::size_t used_ = 0, most_ = 0;
-};
-
 struct StepContext {
   std::uint64_t seed = 0;
   std::int64_t step = 0;

@@ -230,7 +230,6 @@ struct FieldBench : ComponentBench<Real, Field> {
   std::vector<Written<Real>> outputs() { return {{"sigma", &sigma}, {"colour", &rgb}, {"feature", &feature}}; }
   std::vector<Written<Real>> gradients() { return {{"d_position", &d_position}}; }
   std::vector<BenchInput> inputs() { return {{"position", position.view(), d_position.view()}}; }
-  std::size_t scratch_bytes() const { return this->component.scratch_bytes(position.rows(), in().direction.rows); }
   static constexpr const char* kRows = "samples";
 
   FieldTraits shape;

@@ -15,17 +15,6 @@ namespace {
 constexpr std::int64_t kRowCounts[] = {0, 1, 31, 33};
 constexpr std::int64_t kFew = 33, kCut = 15;  // between two rays of a field
 constexpr std::int32_t kPadding = 5;
-/// What a component says that it takes of a workspace may be that much more than what a large batch takes.
-constexpr std::size_t kScratchFactor = 2;
-
-// "" or a sentence: `said` is at least `taken` and, for a `large` batch, at most kScratchFactor times as much.
-std::string scratch_failure(std::size_t said, std::size_t taken, bool large) {
-  const std::string text = std::to_string(said) + " bytes, but " + std::to_string(taken) + " were taken";
-  if (said < taken) return text;
-  return large && said > kScratchFactor * taken ? text + ", less than 1/" + std::to_string(kScratchFactor) + " of it"
-                                                : std::string();
-}
-
 enum class Of : std::uint8_t { outputs, gradients };
 
 /// Laws of every kind. Bench<Real>(component, build, rows, padding, options) has tensors in `box`, a `workspace`,
@@ -53,7 +42,6 @@ class ComponentLaws {
     ask("float against double", &ComponentLaws::precision);
     options_.begin("steady state");
     steady_state(steady_rows);
-    ask("scratch_bytes", &ComponentLaws::scratch);
   }
   template <class Laws>
   void ask(const char* law, void (Laws::*body)()) {
@@ -206,18 +194,6 @@ class ComponentLaws {
     if (steady.workspace.growth_count() != growths)
       note("steady state", "the workspace still grows in the third step; is a Workspace::Scope missing?");
   }
-
-  void scratch() {
-    if constexpr (requires(const Bench<float>& b) { b.scratch_bytes(); }) {
-      if (options_.scratch.allocate != nullptr) return;  // a device's memory is not planned ahead
-      for (const std::int64_t rows : {std::int64_t{1}, kFew, options_.many_rows}) {
-        Bench<float> one = bench<float>(rows);
-        step(one);
-        note("scratch_bytes, " + count_text(rows),
-             scratch_failure(one.scratch_bytes(), one.workspace.high_water_bytes(), rows == options_.many_rows));
-      }
-    }
-  }
 };
 
 // Encoders.
@@ -265,7 +241,6 @@ struct EncoderBench : ComponentBench<Real, Encoder> {
   std::vector<Written<Real>> outputs() { return {{"y", &y}}; }
   std::vector<Written<Real>> gradients() { return {{"dx", &dx}}; }
   std::vector<BenchInput> inputs() { return {{"x", x.view(), dx.view()}}; }
-  std::size_t scratch_bytes() const { return this->component.scratch_bytes(x.rows()); }
   static constexpr const char* kRows = "rows";
 
   Guarded<double> x;
@@ -350,7 +325,6 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
     same_again("again, ", again, once);
     ask("layers", &FieldLaws::layers);
     ask("products", &FieldLaws::products);
-    ask("without saved memory", &FieldLaws::unsaved);
     return failures;
   }
 
@@ -431,14 +405,6 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
       if (layer.name.empty() || layer.in < 1 || layer.out < 1 || layer.rows < 1)
         note("layers", "'" + layer.name + "' has no name, or a size below 1");
     }
-    for (const auto& [samples, rays] : {std::pair<std::int64_t, std::int64_t>{1, 1}, {1000, 7}, {0, 3}}) {
-      std::int64_t sum = 0;
-      for (const LayerShape& layer : single_.layers()) sum += layer.multiply_adds(samples, rays);
-      const std::int64_t said = single_.multiply_adds(samples, rays);
-      if (said != sum)
-        note("multiply_adds", std::to_string(said) + " for " + std::to_string(samples) + " samples of " +
-                                  std::to_string(rays) + " rays, but the layers add up to " + std::to_string(sum));
-    }
   }
 
   // Nothing is counted of a field that multiplies by itself.
@@ -448,22 +414,11 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
     few.derive();
     few.forward();
     const std::int64_t made = multiply_adds_of_thread() - before;
-    const std::int64_t said = single_.multiply_adds(kFew, few.in().direction.rows);
+    std::int64_t said = 0;
+    for (const LayerShape& layer : single_.layers()) said += layer.multiply_adds(kFew, few.in().direction.rows);
     if (made != 0 && made != said)
       note("layers",
            "they say " + std::to_string(said) + " multiply-adds, derive and forward made " + std::to_string(made));
-  }
-
-  // Scratch of a forward whose caller keeps nothing for backward.
-  void unsaved() {
-    if (options_.scratch.allocate != nullptr) return;
-    for (const std::int64_t samples : {std::int64_t{1}, kFew, options_.many_rows}) {
-      FieldBench<float> one = bench<float>(samples);
-      single_.forward(one.ctx, one.box.values_only(), one.in(), one.out(), {});
-      const std::size_t said = one.scratch_bytes() + single_.saved_bytes(samples, one.in().direction.rows);
-      note("scratch_bytes, " + count_text(samples) + " without saved memory",
-           scratch_failure(said, one.workspace.high_water_bytes(), false));
-    }
   }
 };
 

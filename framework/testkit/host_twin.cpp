@@ -136,7 +136,6 @@ class HostEncoder final : public HostTwin<Encoder<float>> {
  public:
   using HostTwin::HostTwin;
   EncoderTraits traits() const noexcept override { return device_.traits(); }
-  std::size_t scratch_bytes(std::int64_t samples) const noexcept override { return device_.scratch_bytes(samples); }
 
  protected:
   void do_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
@@ -160,13 +159,7 @@ class HostField final : public HostTwin<Field<float>> {
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
     return device_.saved_bytes(samples, rays);
   }
-  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
-    return device_.scratch_bytes(samples, rays);
-  }
   std::vector<LayerShape> layers() const override { return device_.layers(); }
-  std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const override {
-    return device_.multiply_adds(samples, rays);
-  }
 
  protected:
   static FieldIn<float> inputs_on(Copies& there, const FieldIn<float>& in) {

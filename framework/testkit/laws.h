@@ -87,14 +87,13 @@ Failures declaration_laws(const PluginEntry& entry);
 
 /// Every element written; guards and padding intact; 0, 1, 31, 33 and many rows; stride above cols; rows independent
 /// under permutation and split (same bits); gradients against central differences; gradients accumulate; any thread
-/// count gives the same bits; float agrees with double; a steady state allocates nothing; scratch_bytes is what calls
-/// take, or less than twice that.
+/// count gives the same bits; float agrees with double; a steady state allocates nothing.
 Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& encoder64,
                       const LawOptions& options = {});
 
 /// The encoder laws as they apply, and: sigma and feature have the same bits whatever the direction; an output that is
 /// not wanted changes no other; an absent gradient counts as zero; colour lies in (0, 1); the same call again gives the
-/// same bits; layers, multiply_adds and scratch_bytes are what the calls make and take. `build` gives the widths of the
+/// same bits; layers are the products that the calls make. `build` gives the widths of the
 /// inputs, and the precision of field32; field64 is the oracle of either.
 Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build,
                     const LawOptions& options = {});

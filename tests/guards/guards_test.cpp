@@ -100,8 +100,6 @@ class PoisonedEncoder final : public Encoder<float> {
     inner_->derive_backward(ctx, t);
   }
 
-  std::size_t scratch_bytes(std::int64_t samples) const noexcept override { return inner_->scratch_bytes(samples); }
-
  protected:
   void do_forward(const StepContext& ctx, const Tensors<float>& t, View<const double> x, View<float> y) const override {
     inner_->forward(ctx, t, x, y);
@@ -136,9 +134,6 @@ class PoisonedField final : public Field<float> {
   FieldTraits traits() const noexcept override { return inner_->traits(); }
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
     return inner_->saved_bytes(samples, rays);
-  }
-  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
-    return inner_->scratch_bytes(samples, rays);
   }
   void declare(ParamDeclarer& d) const override { inner_->declare(d); }
   void derive(const StepContext& ctx, const Tensors<float>& t) const override { inner_->derive(ctx, t); }

@@ -152,15 +152,6 @@ TEST(Mlp, TheSavingsChangeNoNumber) {
   }
 }
 
-TEST(Mlp, TakesWhatItSays) {
-  for (const Precision precision : {Precision::fp32, Precision::bf16}) {
-    for (const std::int64_t samples : {1, 37, 300}) {
-      const Made<float> made(build_of(false, false, precision), samples);
-      EXPECT_EQ(made.bench.workspace.high_water_bytes(), made.bench.scratch_bytes());
-    }
-  }
-}
-
 TEST(Mlp, DropsWhatNobodyNeedsAndNamesTheRest) {
   const Everything<float> field(build_of());
   std::map<std::string, TensorSpec> specs;

@@ -35,11 +35,6 @@ class ToyEncoder : public Encoder<Real> {
   EncoderTraits traits() const noexcept override {
     return {in_dims_, static_cast<std::int32_t>(params_.bands), Domain::metric};
   }
-  std::size_t scratch_bytes(std::int64_t samples) const noexcept override {
-    CountingArena sum;
-    sum.take<Real>(samples, 1);
-    return broken_ == "hides_scratch" ? sum.most() / 2 : broken_ == "claims_much_scratch" ? 3 * sum.most() : sum.most();
-  }
   void declare(ParamDeclarer& declarer) const override {
     declarer.tensor({"table", params_.bands, 1, Init::uniform(1.0), TensorRole::dense});
   }

@@ -361,7 +361,7 @@ struct CpuLayers {
 };
 
 template <class Act>
-using Walk = MlpWalk<CpuLayers<Act>, Workspace>;
+using Walk = MlpWalk<CpuLayers<Act>>;
 
 template <class Act>
 void forward(const MlpGraph& graph, Workspace& arena, const Tensors<SumOf<Act>>& tensors, const MlpIn<SumOf<Act>>& in,
@@ -421,13 +421,8 @@ void derive_backward(const MlpGraph& graph, const Tensors<Real>& t) {
 
 template <class Act>
 constexpr MlpKernels<SumOf<Act>> kTable{
-    forward<Act>,
-    backward<Act>,
-    derive<Act>,
-    derive_backward<SumOf<Act>>,
-    MlpWalk<CpuLayers<Act>, Workspace>::saved_bytes,
-    scratch_of<CpuLayers<Act>>,
-    CpuLayers<Act>::kRounds,
+    forward<Act>,           backward<Act>,           derive<Act>, derive_backward<SumOf<Act>>,
+    Walk<Act>::saved_bytes, CpuLayers<Act>::kRounds,
 };
 
 }  // namespace

@@ -114,8 +114,6 @@ struct MlpKernels {
   void (*derive)(const MlpGraph&, const Tensors<Real>&) = nullptr;
   void (*derive_backward)(const MlpGraph&, const Tensors<Real>&) = nullptr;
   std::size_t (*saved_bytes)(const MlpGraph&, std::int64_t samples) = nullptr;
-  /// Null: not planned ahead on this device.
-  std::size_t (*scratch_bytes)(const MlpGraph&, std::int64_t samples, std::int64_t rays) = nullptr;
   bool rounds = false;  ///< rows between layers are bf16, so an output can leave as MlpOut::rounded
 };
 
@@ -143,39 +141,6 @@ struct MlpInputGradient {
   View<const typename B::Act> mask;
   View<typename B::Act> y;
   View<typename B::Real> exact;
-};
-
-/// A backend of no work, with the memory of B's rows: what a walk takes from an arena that only counts.
-template <class B>
-struct NoWork {
-  using Act = typename B::Act;
-  using Real = typename B::Real;
-  static constexpr bool kRounds = B::kRounds;
-  static constexpr bool kColumnsAlone = B::kColumnsAlone;
-  struct Weights {
-    Weights(const MlpGraph&, const Tensors<Real>&, auto&) {}
-  };
-  static std::size_t row_bytes(std::int64_t rows, std::int32_t cols) { return B::row_bytes(rows, cols); }
-  static View<Act> rows_at(std::byte* memory, std::int64_t rows, std::int32_t cols) {
-    return B::rows_at(memory, rows, cols);
-  }
-  static void product(const auto&...) {}
-  static void input_gradient(const auto&...) {}
-  static void weight_gradient(const auto&...) {}
-  static void ray_product(const auto&...) {}
-  static void ray_weight_gradient(const auto&...) {}
-  static void per_ray_sum(const auto&...) {}
-  static void gather(const auto&...) {}
-  static void round(const auto&...) {}
-  static void copy(const auto&...) {}
-  static void add(const auto&...) {}
-  static void zero(const auto&...) {}
-  static void hand_on(const auto&...) {}
-  static void take(const auto&...) {}
-  static void through(const auto&...) {}
-  static void sine(const auto&...) {}
-  static void sigmoid(const auto&...) {}
-  static void logit_gradient(const auto&...) {}
 };
 
 /// What a component that is built knows of its network.
@@ -240,9 +205,6 @@ class Mlp final : public Parametric<Real> {
     kernels_->derive_backward(graph_, tensors);
   }
   std::size_t saved_bytes(std::int64_t samples) const { return kernels_->saved_bytes(graph_, samples); }
-  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const {
-    return kernels_->scratch_bytes == nullptr ? 0 : kernels_->scratch_bytes(graph_, samples, rays);
-  }
   /// Products of derive and of a forward that gives every output.
   std::vector<LayerShape> layers() const;
 

@@ -9,20 +9,20 @@
 
 #include <array>
 #include <cstddef>
-#include <vector>
 
 #include "plugin/mlp/mlp.h"
 
 namespace semfield {
 
 /// One forward or backward.
-template <class B, class Arena>
+template <class B>
 class MlpWalk {
   using Act = typename B::Act;
   using Real = typename B::Real;
 
  public:
-  MlpWalk(const MlpGraph& graph, const Tensors<Real>& tensors, const MlpIn<Real>& in, MlpOuts<Real> out, Arena& arena)
+  MlpWalk(const MlpGraph& graph, const Tensors<Real>& tensors, const MlpIn<Real>& in, MlpOuts<Real> out,
+          Workspace& arena)
       : g_(graph), t_(tensors), in_(in), out_(out), arena_(arena), samples_(in.samples.rows), weights_(g_, t_, arena) {}
 
   void forward(Saved saved) {
@@ -168,7 +168,7 @@ class MlpWalk {
   void forward_layer(std::size_t i, bool keeps_slope) {
     const MlpLayer& layer = g_.layers[i];
     if (layer.exact) return forward_exact(i);
-    const typename Arena::Scope scope(arena_);
+    const Workspace::Scope scope(arena_);
     const View<Act> value = at(i).value;
     const bool is_sine = layer.activation == LayerActivation::sine;
     View<Real> sums;
@@ -187,7 +187,7 @@ class MlpWalk {
   /// Sums in the memory of the result where it can hold them.
   View<Real> sums_in(View<Act> result) {
     if constexpr (B::kRounds) {
-      return arena_.template take<Real>(result.rows, result.cols);
+      return arena_.take<Real>(result.rows, result.cols);
     } else {
       return result;
     }
@@ -208,7 +208,7 @@ class MlpWalk {
     for (const MlpPart& part : layer.parts) {
       if (part.from.node != kRayInput) continue;
       const View<const Real> rows = g_.rays_once ? in_.rays : gathered_rays();
-      const View<Real> term = arena_.template take<Real>(rows.rows, layer.width);
+      const View<Real> term = arena_.take<Real>(rows.rows, layer.width);
       B::ray_product(rows, part_of(part, tensor(part.weight.weight)), start, term, arena_);
       start = term;
       from_bias = false;
@@ -235,7 +235,7 @@ class MlpWalk {
   }
 
   View<const Real> gathered_rays() {
-    const View<Real> rows = arena_.template take<Real>(samples_, g_.ray_dims);
+    const View<Real> rows = arena_.take<Real>(samples_, g_.ray_dims);
     B::gather(in_.rays, in_.ray_of_sample, rows);
     return rows;
   }
@@ -256,7 +256,7 @@ class MlpWalk {
 
   void forward_exact(std::size_t i) {
     const MlpLayer& layer = g_.layers[i];
-    const typename Arena::Scope scope(arena_);
+    const Workspace::Scope scope(arena_);
     if (const int direct = direct_output(i); direct >= 0) {
       const View<Real> rows = out_[static_cast<std::size_t>(direct)].rows;
       products(layer, rows, false, {}, rows, whole(layer));
@@ -266,7 +266,7 @@ class MlpWalk {
     if (reads_[i] == 0 && forward_columns(i)) return;
     View<Real> exact;
     if constexpr (!B::kRounds) exact = at(i).value;
-    if (exact.empty()) exact = arena_.template take<Real>(samples_, layer.width);
+    if (exact.empty()) exact = arena_.take<Real>(samples_, layer.width);
     products(layer, exact, false, {}, exact, whole(layer));
     if constexpr (B::kRounds) {
       if (!layer.read.empty()) B::round(exact.col_range(layer.read.first, layer.read.cols), at(i).read);
@@ -367,7 +367,7 @@ class MlpWalk {
     --s.awaited;
     View<Real> target;
     if (to.exact) {
-      if (s.sums.empty()) s.sums = arena_.template take<Real>(samples_, to.width);
+      if (s.sums.empty()) s.sums = arena_.take<Real>(samples_, to.width);
       target = s.sums.col_range(to.read.first, to.read.cols);
     } else if (s.missing > 0 || to.activation == LayerActivation::sine) {
       target = gradient_sums(i);
@@ -422,7 +422,7 @@ class MlpWalk {
       B::weight_gradient(rounded(gathered_rays()), dz, d_weight, View<Real>(), arena_);
       return;
     }
-    const View<Real> d_term = arena_.template take<Real>(in_.rays.rows, dz.cols);
+    const View<Real> d_term = arena_.take<Real>(in_.rays.rows, dz.cols);
     B::per_ray_sum(dz, in_.ray_of_sample, d_term);
     B::ray_weight_gradient(in_.rays, d_term, d_weight, d_bias, arena_);
     d_bias = {};
@@ -434,12 +434,12 @@ class MlpWalk {
     if (const int direct = direct_output(i); direct >= 0 && grad_[static_cast<std::size_t>(direct)].rounded.empty()) {
       const auto k = static_cast<std::size_t>(direct);
       if (layer.activation != LayerActivation::sigmoid) return grad_[k].rows;
-      const View<Real> d_logit = arena_.template take<Real>(samples_, layer.width);
+      const View<Real> d_logit = arena_.take<Real>(samples_, layer.width);
       B::logit_gradient(View<const Real>(out_[k].rows), grad_[k].rows, d_logit);
       return d_logit;
     }
     State& s = at(i);
-    if (s.sums.empty()) s.sums = arena_.template take<Real>(samples_, layer.width);
+    if (s.sums.empty()) s.sums = arena_.take<Real>(samples_, layer.width);
     // What readers have written is added to; all other columns are an output's gradient, or 0.
     const Rows written = s.begun ? layer.read : Rows();
     if (written.first > 0 || written.empty())
@@ -452,7 +452,7 @@ class MlpWalk {
       const View<Real> columns = s.sums.col_range(from.first, from.cols);
       View<const Real> of_output = grad_[k].rows;
       if (of_output.empty()) {
-        const View<Real> widened = arena_.template take<Real>(samples_, from.cols);
+        const View<Real> widened = arena_.take<Real>(samples_, from.cols);
         B::take(grad_[k], widened);
         of_output = widened;
       }
@@ -470,7 +470,7 @@ class MlpWalk {
   const MlpIn<Real>& in_;
   MlpOuts<Real> out_;
   MlpGrads<Real> grad_;
-  Arena& arena_;
+  Workspace& arena_;
   std::int64_t samples_;
   typename B::Weights weights_;
   View<const Act> x_;
@@ -482,35 +482,5 @@ class MlpWalk {
   std::array<View<Act>, kMostMlpLayers> spare_{};
   std::size_t spare_count_ = 0;
 };
-
-/// Most bytes that a forward with `saved` or a backward takes.
-template <class B>
-std::size_t scratch_of(const MlpGraph& graph, std::int64_t samples, std::int64_t rays) {
-  using Real = typename B::Real;
-  alignas(64) static std::byte nowhere[64];
-  const auto rows = [](std::int64_t count, std::int32_t cols) {
-    return View<Real>(reinterpret_cast<Real*>(nowhere), count, cols);
-  };
-  const std::vector<View<Real>> tensors(1024, rows(0, 0));
-  MlpIn<Real> in;
-  in.samples = rows(samples, graph.sample_dims);
-  if (graph.ray_dims > 0) in.rays = rows(rays, graph.ray_dims);
-  std::vector<MlpOut<Real>> out;
-  std::vector<MlpGrad<Real>> grad;
-  for (const Rows& from : graph.outputs) {
-    out.push_back({from.empty() ? View<Real>() : rows(samples, from.cols), {}});
-    grad.push_back({out.back().rows, {}});
-  }
-  CountingArena arena;
-  const Tensors<Real> all{tensors, tensors};
-  {
-    const CountingArena::Scope scope(arena);
-    MlpWalk<NoWork<B>, CountingArena>(graph, all, in, out, arena).forward(Saved(nowhere, sizeof nowhere));
-  }
-  const CountingArena::Scope scope(arena);
-  MlpWalk<NoWork<B>, CountingArena>(graph, all, in, out, arena)
-      .backward(grad, Saved(nowhere, sizeof nowhere), rows(samples, graph.sample_dims));
-  return arena.most();
-}
 
 }  // namespace semfield

@@ -49,9 +49,6 @@ class HashGrid final : public Encoder<Real> {
   EncoderTraits traits() const noexcept override {
     return {3, shape_.levels * shape_.features, Domain::unit_cube, true, true};
   }
-  std::size_t scratch_bytes(std::int64_t samples) const noexcept override {
-    return kernels_->scratch_bytes == nullptr ? 0 : kernels_->scratch_bytes(shape_, samples);
-  }
   void declare(ParamDeclarer& declarer) const override;
   const HashGridShape& shape() const noexcept { return shape_; }
 

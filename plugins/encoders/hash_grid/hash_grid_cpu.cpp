@@ -384,21 +384,11 @@ struct Columns {
 
   /// Whole groups of rows, and a little more: columns a power of two apart would fall on the same sets of the cache.
   Columns(Workspace& workspace, const HashGridShape& shape, std::int64_t all_rows)
-      : stride(stride_of(shape, all_rows)) {
+      : stride(((std::min(kBlockRows, all_rows) + kLanes - 1) / kLanes * kLanes + 40) * shape.features) {
     data = workspace.take<Real>(shape.levels, static_cast<std::int32_t>(stride)).data;
-  }
-  static std::int64_t stride_of(const HashGridShape& shape, std::int64_t all_rows) {
-    return ((std::min(kBlockRows, all_rows) + kLanes - 1) / kLanes * kLanes + 40) * shape.features;
   }
   Real* value(std::int32_t level) const { return data + level * stride; }
 };
-
-template <class Real>
-std::size_t scratch_bytes(const HashGridShape& shape, std::int64_t rows) {
-  CountingArena sum;
-  sum.take<Real>(shape.levels, static_cast<std::int32_t>(Columns<Real>::stride_of(shape, rows)));
-  return sum.most();
-}
 
 /// Between columns and rows of y, over every thread.
 template <class Real, bool kToRows, class Row>
@@ -544,7 +534,7 @@ void backward_input(const HashGridShape& shape, const View<Real>* tables, View<c
 }
 
 template <class Real>
-const HashGridKernels<Real> kTable{forward<Real>, backward_tables<Real>, backward_input<Real>, scratch_bytes<Real>};
+const HashGridKernels<Real> kTable{forward<Real>, backward_tables<Real>, backward_input<Real>};
 
 }  // namespace
 

@@ -102,7 +102,7 @@ struct HashGridShape {
 template <class Real>
 struct HashGridKernels {
   /// y [M, levels * features] from x [M, 3] and one table a level. Returns the first row that is not finite, or -1.
-  /// Parallel over levels and rows where the caller is not. Scratch: see scratch_bytes.
+  /// Parallel over levels and rows where the caller is not. Scratch: the columns of a block of rows.
   std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y,
                           Workspace& workspace) = nullptr;
   /// grads += dL/dtables. CPU: one thread per level, rows in order, so any thread count gives the same bits; scratch as
@@ -113,8 +113,6 @@ struct HashGridKernels {
   /// dx = dL/dx [M, 3]; parallel over blocks of rows.
   void (*backward_input)(const HashGridShape& shape, const View<Real>* tables, View<const double> x,
                          View<const Real> dy, View<Real> dx) = nullptr;
-  /// Of forward and backward_tables. Null: not planned ahead on this device.
-  std::size_t (*scratch_bytes)(const HashGridShape& shape, std::int64_t rows) = nullptr;
 };
 
 void hash_grid_kernels(KernelTables& tables);
