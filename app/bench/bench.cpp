@@ -110,7 +110,6 @@ struct Row {
   std::vector<double> processor = {};  ///< processor seconds per step, summed over threads
   Spread seconds = {};
   double rate() const { return of.frame ? 0 : static_cast<double>(step->samples_per_step()) / seconds.median; }
-  double flop() const { return of.frame ? 0 : total_flop(step->work()); }
 
   double take() {
     if (of.frame) return step->render_seconds(of.rays);
@@ -157,17 +156,13 @@ std::vector<Row> warm_rows(const BenchOptions& options, const std::string& devic
 void print_table(const BenchOptions& options, const std::string& about, const std::vector<Row>& rows) {
   std::printf("%s\nmedians of %d rounds, every measurement once per round; networks and rays: %s\n", about.c_str(),
               options.repeats, options.size.c_str());
-  std::printf(
-      "GFLOP/s count the multiply-adds of the networks that are executed (exact savings taken off), not those of "
-      "encodings, sampling, compositing and Adam\n\n");
-  std::printf("%-28s %12s  %-23s %7s %6s %10s %12s %9s\n", "", "ms", "(min .. max)", "threads", "rays", "core ms",
-              "samples/s", "GFLOP/s");
+  std::printf("\n%-28s %12s  %-23s %7s %6s %10s %12s\n", "", "ms", "(min .. max)", "threads", "rays", "core ms",
+              "samples/s");
   for (const Row& row : rows) {
     const std::string range = fmt::format("({:.3f} .. {:.3f})", 1e3 * row.seconds.min, 1e3 * row.seconds.max);
-    std::printf("%-28s %12.3f  %-23s %7d %6lld %10.3f %12.0f %9.1f\n", row.name.c_str(), 1e3 * row.seconds.median,
+    std::printf("%-28s %12.3f  %-23s %7d %6lld %10.3f %12.0f\n", row.name.c_str(), 1e3 * row.seconds.median,
                 range.c_str(), row.threads, static_cast<long long>(row.rays),
-                row.processor.empty() ? 0 : 1e3 * spread_of(row.processor).median, row.rate(),
-                1e-9 * row.flop() / row.seconds.median);
+                row.processor.empty() ? 0 : 1e3 * spread_of(row.processor).median, row.rate());
   }
 }
 
@@ -182,9 +177,7 @@ Json rows_json(const std::vector<Row>& rows) {
                    {"rays", row.rays},
                    {"seconds", {{"median", row.seconds.median}, {"min", row.seconds.min}, {"max", row.seconds.max}}},
                    {"processor_s", row.processor.empty() ? Json() : Json(spread_of(row.processor).median)},
-                   {"samples_per_s", row.rate()},
-                   {"flop", row.flop()},
-                   {"flops", row.flop() / row.seconds.median}});
+                   {"samples_per_s", row.rate()}});
   }
   return all;
 }

@@ -1,5 +1,4 @@
-// A whole training step on rays made up in memory, to be timed: batch, forward, losses, backward, scatter, Adam; and
-// its multiply-adds, from what its networks say of themselves.
+// A whole training step on rays made up in memory, to be timed: batch, forward, losses, backward, scatter, Adam.
 #pragma once
 
 #include <cstdint>
@@ -14,19 +13,6 @@
 #include "train/trainer.h"
 
 namespace semfield {
-
-/// A matrix product of a step: `rows` rows through a weight [in, out]. Backward costs as much again for the weight's
-/// gradient, and once more for the input's where that is wanted.
-struct LayerWork {
-  std::string layer;
-  double rows = 0;
-  double in = 0, out = 0;
-  bool input_gradient = true;
-  bool once_a_step = false;
-  /// Floating-point operations of forward and backward; a multiply-add counts 2.
-  double flop() const { return 2 * rows * in * out * (input_gradient ? 3 : 2); }
-};
-double total_flop(const std::vector<LayerWork>& layers);
 
 struct StepCaseOptions {
   std::string config;            ///< configuration file; its scene is not opened
@@ -51,9 +37,6 @@ class StepCase : NonCopyable {
   double render_seconds(std::int64_t rays);
   /// Samples that the networks of all passes evaluate in a step.
   std::int64_t samples_per_step() const { return samples_all_; }
-  /// The matrix products of a step, pass by pass: those of a field, of the semantic branch as if it kept every sample,
-  /// and of the head, where every ray has a label. An encoding's own arithmetic is not counted.
-  const std::vector<LayerWork>& work() const { return work_; }
   /// Total loss of the last step.
   double loss() const { return losses_.total; }
 
@@ -63,7 +46,6 @@ class StepCase : NonCopyable {
   Session session_;  // of random pictures: network and settings alone
   std::unique_ptr<Trainer> trainer_;
   std::int64_t samples_last_ = 0, samples_all_ = 0;
-  std::vector<LayerWork> work_;
   StepLosses losses_;
 };
 

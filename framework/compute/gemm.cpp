@@ -7,18 +7,10 @@
 
 namespace semfield {
 
-namespace {
-thread_local std::int64_t multiply_adds_so_far = 0;
-}
-
-std::int64_t multiply_adds_of_thread() noexcept { return multiply_adds_so_far; }
-void count_multiply_adds(std::int64_t count) noexcept { multiply_adds_so_far += count; }
-
 template <class Real>
 void gemm(const Gemm<Real>& g) {
   SEMFIELD_CHECK(int{g.accumulate} + int{g.bias != nullptr} + int{g.row_term != nullptr} <= 1,
                  "a matrix product starts from one of: its old value, a bias, a row term");
-  count_multiply_adds(g.m * g.n * g.k);
   cpu_kernels<Real>().gemm(g);
 }
 

@@ -39,11 +39,6 @@ struct Gemm {
 template <class Real>
 void gemm(const Gemm<Real>& g);
 
-/// Multiply-adds of all products that the calling thread has made so far: what a field says about itself is compared
-/// with it.
-std::int64_t multiply_adds_of_thread() noexcept;
-void count_multiply_adds(std::int64_t count) noexcept;
-
 /// The usual starts, from views: A B, or C + A B with `accumulate`; mask [m, n] as in Gemm (empty: none).
 template <class Real>
 void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate = false, View<const Real> mask = {});

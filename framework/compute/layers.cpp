@@ -96,7 +96,6 @@ void apply(const Layer<Bf16>& l) {
   check_shapes(l, l.weight.in, l.weight.out);
   SEMFIELD_CHECK(padded(l.x) && (l.y.empty() || padded(l.y)), "rows of bf16 are not padded");
   if (l.x.rows == 0) return;
-  count_multiply_adds(l.x.rows * l.weight.in * l.weight.out);
   bf16_kernels().layer(l);
 }
 
@@ -109,10 +108,7 @@ void weight_gradient(View<const double> x, View<const double> dz, View<double> d
 void weight_gradient(View<const Bf16> x, View<const Bf16> dz, View<float> d_weight, View<float> d_bias) {
   check_gradient<Bf16>(x, dz, d_weight, d_bias);
   SEMFIELD_CHECK(padded(x) && padded(dz), "rows of bf16 are not padded");
-  if (!d_weight.empty()) {
-    count_multiply_adds(x.rows * x.cols * dz.cols);
-    bf16_kernels().weight_gradient(x, dz, d_weight);
-  }
+  if (!d_weight.empty()) bf16_kernels().weight_gradient(x, dz, d_weight);
   if (!d_bias.empty()) bf16_kernels().add_rows(dz, d_bias);
 }
 

@@ -44,30 +44,6 @@ struct FusedGrad {
 /// Rows of FusedGrad::hidden: whole tiles of the fields that take it.
 constexpr std::int64_t blocked_rows(std::int64_t rows) { return (rows + 255) / 256 * 256; }
 
-// Matrix products of a network, as its field tells them: what a step costs, and what there is to probe.
-
-/// How often a product is made: for all samples, for all rays, or once per step (of weights with each other).
-enum class LayerRows : std::uint8_t { sample, ray, step };
-
-/// What it multiplies: inputs of the network have a gradient only where somebody wants it.
-enum class LayerInput : std::uint8_t { activation, position, direction };
-
-/// A product of forward or derive: rows through a weight [in, out].
-struct LayerShape {
-  std::string name;  ///< as its weight's tensor, "trunk_0"; a concatenated input makes two products of one weight
-  std::int64_t in = 0, out = 0;
-  LayerRows per = LayerRows::sample;
-  LayerInput input = LayerInput::activation;
-  std::int64_t rows = 1;  ///< for each sample, for each ray, or in all
-
-  std::int64_t rows_of(std::int64_t samples, std::int64_t rays) const {
-    return rows * (per == LayerRows::sample ? samples : per == LayerRows::ray ? rays : 1);
-  }
-  std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const {
-    return rows_of(samples, rays) * in * out;
-  }
-};
-
 struct FieldTraits {
   std::int32_t feature_dims = 0;  ///< width of the feature the semantic head reads
   bool uses_direction = false;
@@ -108,8 +84,6 @@ class Field : public Parametric<Real> {
   }
   /// Bytes that forward leaves for backward with M samples of R rays.
   virtual std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept = 0;
-  /// The matrix products of derive and of a forward that gives every output.
-  virtual std::vector<LayerShape> layers() const { return {}; }
   /// "runs layer by layer here; ...", and what the fast way needs, where it computes more slowly than it could: a run
   /// on a GPU asks its fields and warns.
   virtual std::string slow_path() const { return {}; }

@@ -323,8 +323,6 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
     step(once);
     step(again);
     same_again("again, ", again, once);
-    ask("layers", &FieldLaws::layers);
-    ask("products", &FieldLaws::products);
     return failures;
   }
 
@@ -396,29 +394,6 @@ class FieldLaws : public ComponentLaws<FieldBench, Field, FieldBuild> {
       compare_learned("absent gradients, ", absent, zeros,
                       [](auto got, auto want) { return compare(got, want, 1e-12, 1e-3); });
     }
-  }
-
-  // What a field says that it costs, against what its calls make and take.
-
-  void layers() {
-    for (const LayerShape& layer : single_.layers()) {
-      if (layer.name.empty() || layer.in < 1 || layer.out < 1 || layer.rows < 1)
-        note("layers", "'" + layer.name + "' has no name, or a size below 1");
-    }
-  }
-
-  // Nothing is counted of a field that multiplies by itself.
-  void products() {
-    FieldBench<float> few = bench<float>(kFew);
-    const std::int64_t before = multiply_adds_of_thread();
-    few.derive();
-    few.forward();
-    const std::int64_t made = multiply_adds_of_thread() - before;
-    std::int64_t said = 0;
-    for (const LayerShape& layer : single_.layers()) said += layer.multiply_adds(kFew, few.in().direction.rows);
-    if (made != 0 && made != said)
-      note("layers",
-           "they say " + std::to_string(said) + " multiply-adds, derive and forward made " + std::to_string(made));
   }
 };
 

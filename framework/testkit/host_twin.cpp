@@ -159,7 +159,6 @@ class HostField final : public HostTwin<Field<float>> {
   std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
     return device_.saved_bytes(samples, rays);
   }
-  std::vector<LayerShape> layers() const override { return device_.layers(); }
 
  protected:
   static FieldIn<float> inputs_on(Copies& there, const FieldIn<float>& in) {

@@ -93,7 +93,7 @@ Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& en
 
 /// The encoder laws as they apply, and: sigma and feature have the same bits whatever the direction; an output that is
 /// not wanted changes no other; an absent gradient counts as zero; colour lies in (0, 1); the same call again gives the
-/// same bits; layers are the products that the calls make. `build` gives the widths of the
+/// same bits. `build` gives the widths of the
 /// inputs, and the precision of field32; field64 is the oracle of either.
 Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build,
                     const LawOptions& options = {});

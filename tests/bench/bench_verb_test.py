@@ -15,7 +15,7 @@ class Bench(ProgramCase):
     def test_every_measurement_has_a_row(self):
         out = json.loads(self.ok(f"--json {TINY}").out)
         for row in out["rows"]:
-            self.assertTrue(0 < min(row["seconds"]["median"], row["flop"]), row)
+            self.assertTrue(0 < row["seconds"]["median"], row)
         self.assertGreaterEqual(len(out["rows"]), 14)  # three networks, four more numbers of classes for two of them
         self.assertEqual(len({row["name"] for row in out["rows"]}), len(out["rows"]))
 

@@ -26,7 +26,6 @@ class MlpField : public Field<Real> {
   std::size_t saved_bytes(std::int64_t samples, std::int64_t) const noexcept override {
     return net_.saved_bytes(samples);
   }
-  std::vector<LayerShape> layers() const override { return net_.layers(); }
   void declare(ParamDeclarer& declarer) const override { net_.declare(declarer); }
   void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override { net_.derive(ctx, tensors); }
   void derive_backward(const StepContext& ctx, const Tensors<Real>& tensors) const override {

@@ -187,27 +187,6 @@ void Mlp<Real>::rearrange_weights() {
     fold.second = rearranged_weight(specs_, fold.second_weight, fold.second.first, fold.mid, Precision::fp32);
 }
 
-template <class Real>
-std::vector<LayerShape> Mlp<Real>::layers() const {
-  std::vector<LayerShape> list;
-  for (const MlpLayer& layer : graph_.layers) {
-    if (layer.fold >= 0) {
-      // The product of the two weights, and of a bias with the second.
-      const MlpFold& fold = graph_.folds[static_cast<std::size_t>(layer.fold)];
-      list.push_back({"folded", fold.mid, fold.out, LayerRows::step, LayerInput::activation, fold.in + 1});
-    }
-    for (const MlpPart& part : layer.parts) {
-      const bool of_ray = part.from.node == kRayInput;
-      list.push_back({layer.name, part.from.cols, layer.width,
-                      of_ray && graph_.rays_once ? LayerRows::ray : LayerRows::sample,
-                      of_ray                           ? LayerInput::direction
-                      : part.from.node == kSampleInput ? LayerInput::position
-                                                       : LayerInput::activation});
-    }
-  }
-  return list;
-}
-
 template class Mlp<float>;
 template class Mlp<double>;
 

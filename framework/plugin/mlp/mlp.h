@@ -205,8 +205,6 @@ class Mlp final : public Parametric<Real> {
     kernels_->derive_backward(graph_, tensors);
   }
   std::size_t saved_bytes(std::int64_t samples) const { return kernels_->saved_bytes(graph_, samples); }
-  /// Products of derive and of a forward that gives every output.
-  std::vector<LayerShape> layers() const;
 
   /// saved may be empty when no backward will follow.
   void forward(Workspace& arena, const Tensors<Real>& tensors, const MlpIn<Real>& in, MlpOuts<Real> out,
