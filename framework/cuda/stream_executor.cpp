@@ -170,12 +170,6 @@ void StreamExecutor::download(std::int64_t step) {
   host_.derive(step);
 }
 
-void StreamExecutor::set_gradient_hook(GradientHook<float> hook) {
-  SEMFIELD_CHECK(queued_.empty(), "a gradient hook is set between steps");
-  forget_graphs();
-  hook_ = std::move(hook);
-}
-
 void StreamExecutor::forget_graphs() {
   for (Shape& shape : shapes_) {
     for (cudaGraphExec_t& graph : shape.graphs) {
@@ -321,11 +315,12 @@ void StreamExecutor::begin_step(Shape& shape, std::int64_t step) {
     if (shape.graphs[0] == nullptr) {
       capture(shape.graphs[0], [&] {
         backward(shape, step, true);
-        if (!sums_->waits()) sums_->meet(launch().fault);
-        if (!splits()) update(step);
+        if (sums_->waits()) return;
+        sums_->meet(launch().fault);
+        update(step);
       });
     }
-    if (splits() && shape.graphs[1] == nullptr) {
+    if (sums_->waits() && shape.graphs[1] == nullptr) {
       capture(shape.graphs[1], [&] { update(step); });
     }
   } catch (const Error& error) {
@@ -338,17 +333,9 @@ void StreamExecutor::end_step(Shape& shape, std::int64_t step) {
   const bool captured = shape.captured();
   if (captured) check(cudaGraphLaunch(shape.graphs[0], stream_), "starting a step");
   if (!captured || sums_->waits()) sums_->meet(launch().fault);
-  if (hook_) {
-    try {
-      hook_({step, store_->learned_gradients(), stream_});
-    } catch (...) {
-      store_->clear_gradients();
-      throw;
-    }
-  }
   if (!captured) {
     update(step);
-  } else if (splits()) {
+  } else if (sums_->waits()) {
     check(cudaGraphLaunch(shape.graphs[1], stream_), "starting a step");
   }
   shape.runs = std::min(shape.runs + 1, kRunsBeforeCapture);

@@ -43,7 +43,6 @@ class StreamExecutor final : public Executor<float> {
   int most_queued() const override { return kSlots; }
   StepResults finish() override;
   std::vector<std::string> take_notes() override;
-  void set_gradient_hook(GradientHook<float> hook) override;
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;
   PointNetwork<float>& points() override;
@@ -84,7 +83,6 @@ class StreamExecutor final : public Executor<float> {
   void begin_step(Shape& shape, std::int64_t step);
   void end_step(Shape& shape, std::int64_t step);
   void drop_gradients();
-  bool splits() const { return hook_ || sums_->waits(); }
   void capture(cudaGraphExec_t& graph, const std::function<void()>& body);
   void backward(const Shape& shape, std::int64_t step, bool overlapped);
   void update(std::int64_t step);
@@ -129,7 +127,6 @@ class StreamExecutor final : public Executor<float> {
   std::vector<Shape> shapes_;
   std::vector<Queued> queued_;
   std::vector<StepLosses> done_;
-  GradientHook<float> hook_;
   std::unique_ptr<PointNetwork<float>> points_;
 };
 

@@ -62,23 +62,6 @@ struct PixelPool : DrawRule {
   std::vector<std::int64_t> label_only;  ///< RayBatch::label_only, the same in every step
 };
 
-/// Gradients of a step, between backward and update.
-template <class Real>
-struct StepGradients {
-  std::int64_t step = 0;
-  /// Of every learned tensor, in the order of checkpoints; View::device says whose memory they are.
-  std::span<const View<Real>> tensors;
-  /// The cudaStream_t on which backward was queued and the update will be: whatever reads or writes the gradients must
-  /// be queued there or wait for it. Null where they are host memory: backward is done.
-  void* stream = nullptr;
-};
-
-/// Called in every step, after backward and before the gradients are checked and Adam uses them. It may change them, as
-/// a sum over several processes does. An Error that it throws ends the step. On the CPU a step that met a value
-/// of a ray that is not finite ends before it; on a device nobody knows yet.
-template <class Real>
-using GradientHook = std::function<void(const StepGradients<Real>&)>;
-
 /// Steps that were queued and are done.
 struct StepResults {
   std::span<const StepLosses> losses;  ///< of the steps that were made, in order; valid until the next call of queue
@@ -105,7 +88,7 @@ class Executor {
   /// Rays that are walked together, of a step of `rays` rays: those with a label come first in each such tile.
   virtual std::int64_t tile_rays(std::int64_t rays) const = 0;
 
-  /// One training step: gradients, hook, checks, Adam, derived tensors, samplers' observe. The batch is copied or used
+  /// One training step: gradients, checks, Adam, derived tensors, samplers' observe. The batch is copied or used
   /// before it returns. Nothing of the step may be relied on before finish(); at most most_queued() steps wait. An
   /// Error means that the step was not made, and no step may be queued behind it before finish().
   virtual void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) = 0;
@@ -121,8 +104,6 @@ class Executor {
   virtual StepResults finish() = 0;
   /// What users should know of the steps made so far, a sentence each; told once.
   virtual std::vector<std::string> take_notes() { return {}; }
-  /// From the next step on; null: none. Not while steps are queued.
-  virtual void set_gradient_hook(GradientHook<Real> hook) = 0;
 
   /// Renders without jitter or noise; the same bits for any grouping of rays into calls.
   virtual void render(const RenderJob<Real>& job) = 0;

@@ -77,7 +77,7 @@ void LaneExecutor<Real>::queue(std::int64_t step, const RayBatch& batch, const A
   const WorkScope scope(options().work);
   const ComputeFloatMode mode;
   const StepLosses losses = gradients(step, batch);
-  require_sound(step, losses);
+  pipeline_.require_sound(step, losses);
   AdamStep rule = update;
   rule.labelled = losses.labelled > 0;
   passes().front().parts().stages->adam(&rule, pipeline_.store().learned());
@@ -341,12 +341,6 @@ std::size_t LaneExecutor<Real>::workspace_bytes() const {
 }
 
 // Which ray or tensor is behind a step that failed.
-
-template <class Real>
-void LaneExecutor<Real>::require_sound(std::int64_t step, const StepLosses& losses) {
-  if (hook_) hook_({step, pipeline_.store().learned_gradients(), nullptr});
-  pipeline_.require_sound(step, losses);
-}
 
 template <class Real>
 std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const RayBatch& batch) {

@@ -33,7 +33,6 @@ class LaneExecutor final : public Executor<Real> {
   void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
   int most_queued() const override { return 1; }
   StepResults finish() override;
-  void set_gradient_hook(GradientHook<Real> hook) override { hook_ = std::move(hook); }
   void render(const RenderJob<Real>& job) override;
   void density(View<const double> positions, View<Real> sigma) override;
   PointNetwork<Real>& points() override { return points_; }
@@ -42,9 +41,6 @@ class LaneExecutor final : public Executor<Real> {
   /// value of a ray that is not finite throws RayFault; gradients are then anything, and ParamStore::clear_gradients is
   /// due.
   StepLosses gradients(std::int64_t step, const RayBatch& batch);
-  /// Behind gradients: calls the hook, then throws Error for a number from which no update may start: a value, gradient
-  /// or moment of a learned tensor, the loss, a derived or state tensor.
-  void require_sound(std::int64_t step, const StepLosses& losses);
   /// After a step that failed: takes its rays one by one and gives the first that throws, or whose own gradient is not
   /// finite, with its number in the batch; none when only their sum fails. Leaves every gradient zero.
   std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
@@ -113,7 +109,6 @@ class LaneExecutor final : public Executor<Real> {
   Ahead ahead_;
   LanePoints<Real> points_;
   std::optional<LaneRanks<Real>> ranks_;
-  GradientHook<Real> hook_;
   std::vector<StepLosses> queued_, done_;  // made since the last finish(), and before it
   std::optional<Error> afterwards_;
 };

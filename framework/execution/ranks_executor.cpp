@@ -237,12 +237,6 @@ StepResults RanksExecutor::finish() {
   return inner_.finish();
 }
 
-void RanksExecutor::set_gradient_hook(GradientHook<float> hook) {
-  if (hook)
-    throw Error(ErrorKind::usage, "ranks.hook.single", "a gradient hook sees the gradients of one process",
-                "train in one process");
-}
-
 void RanksExecutor::render(const RenderJob<float>& job) {
   if (job.heads.size() > 0) return inner_.render(job);  // names of channels do not travel
   lead_job({.task = Task::render, .footprint_per_m = job.footprint_per_m}, job);

@@ -84,8 +84,6 @@ class RanksExecutor final : public Executor<float> {
   void download(std::int64_t step) override;
   void queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) override;
   StepResults finish() override;
-  /// Throws Error(usage): a hook would see one process's gradients.
-  void set_gradient_hook(GradientHook<float> hook) override;
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;
 

@@ -41,8 +41,6 @@ class TensorStore {
   }
   /// Whether updates leave the tensors as they are that are added from now on.
   void freeze(bool frozen) { frozen_ = frozen; }
-  /// Main gradients of all learned tensors, in the order of checkpoints.
-  std::span<const View<Real>> learned_gradients() const { return learned_gradients_; }
 
  protected:
   struct Component {
@@ -56,7 +54,6 @@ class TensorStore {
   /// One more learned tensor, as updates see it.
   AdamTensor<Real> learn(View<Real> value, View<Real> grad, View<Real> moment1, View<Real> moment2, TensorRole role,
                          const LearningRule& rule) {
-    learned_gradients_.push_back(grad);
     return {value.data,
             grad.data,
             moment1.data,
@@ -73,7 +70,6 @@ class TensorStore {
  private:
   bool frozen_ = false;
   std::vector<Component> components_;
-  std::vector<View<Real>> learned_gradients_;
 };
 
 /// 64-byte aligned, zero-initialised array.

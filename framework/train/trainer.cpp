@@ -196,7 +196,7 @@ void Trainer::explain_failed_step() {
   fill(step_);
   try {
     LaneExecutor<float>& lanes = pipeline().lanes();
-    lanes.require_sound(step_, lanes.gradients(step_, batch()));
+    pipeline().require_sound(step_, lanes.gradients(step_, batch()));
   } catch (const Error& error) {
     fail(error);
   }

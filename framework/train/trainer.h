@@ -83,8 +83,6 @@ class Trainer : NonCopyable {
   std::span<const StepLosses> advance(std::int64_t most = 1);
   /// `steps` more steps, or fewer after a cancel; returns how many.
   std::int64_t train(std::int64_t steps);
-  /// Called in every step from the next one on, between backward and Adam (execution/executor.h); null: no longer.
-  void set_gradient_hook(GradientHook<float> hook) { executor().set_gradient_hook(std::move(hook)); }
   /// The train() under way, or the next one, ends after the step that it is in.
   void cancel() { cancelled_ = true; }
   /// Of the last step made; zeros before the first.

@@ -16,7 +16,6 @@
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "scene/scene.h"
 #include "testkit/compare.h"
-#include "tests/session/gradient_hook.h"
 #include "tests/session/step_configs.h"
 #include "train/checkpoint.h"
 
@@ -329,7 +328,7 @@ TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
   EXPECT_EQ(runs_on(open_text(hash_config("runtime: {device: auto}\n"), registry)), Device::cpu);
 }
 
-// What an executor on a device promises beside steps: the gradient hook, and which of several devices it runs on.
+// Which of several devices an executor runs on.
 
 using testing::DeviceLaunch;
 using testing::DeviceMatrix;
@@ -339,43 +338,6 @@ struct Subject : TestRun {
   explicit Subject(const std::string& device)
       : TestRun(hash_config("runtime: {device: " + device + ", deterministic: true}\n")) {}
 };
-
-// On the hook's stream, by way of the host: the stream is waited for.
-void halve(const StepGradients<float>& gradients) {
-  const auto stream = static_cast<cudaStream_t>(gradients.stream);
-  for (const View<float>& gradient : gradients.tensors) {
-    std::vector<float> host(static_cast<std::size_t>(gradient.size()));
-    const std::size_t bytes = host.size() * sizeof(float);
-    cuda::check(cudaMemcpyAsync(host.data(), gradient.data, bytes, cudaMemcpyDeviceToHost, stream), "a test");
-    cuda::check(cudaStreamSynchronize(stream), "a test");
-    for (float& g : host) g *= 0.5F;
-    cuda::check(cudaMemcpyAsync(gradient.data, host.data(), bytes, cudaMemcpyHostToDevice, stream), "a test");
-    cuda::check(cudaStreamSynchronize(stream), "a test");
-  }
-}
-
-constexpr const char* kDeterministic = "device: cuda, deterministic: true";
-
-using CudaGradientHook = testing::DeviceTest;
-
-TEST_F(CudaGradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
-  expect_hook_sees_every_tensor(
-      kDeterministic, [](const StepGradients<float>& gradients, const Tensor<float>& t, const View<float>& view) {
-        EXPECT_NE(gradients.stream, nullptr);
-        EXPECT_EQ(view.device, Device::cuda);
-        cudaPointerAttributes where{};
-        EXPECT_EQ(cudaPointerGetAttributes(&where, view.data), cudaSuccess);
-        EXPECT_EQ(where.type, cudaMemoryTypeDevice) << t.name;
-      });
-}
-
-TEST_F(CudaGradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
-  expect_half_of_the_gradients_is_half_of_the_weight(kDeterministic, halve);
-}
-
-TEST_F(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
-  expect_an_error_of_the_hook_ends_the_step(kDeterministic);
-}
 
 using CudaDevices = testing::DeviceTest;
 

@@ -370,12 +370,10 @@ TEST(LaneRanks, RangesOfLanesCoverAllAndHaveEquallyManyTilesAsFarAsLanesAllow) {
   }
 }
 
-TEST(RanksSession, TellsItsProcessesAndRefusesAHook) {
+TEST(RanksSession, TellsItsProcesses) {
   as_leader(2, two_pass_config(), [&](Session& session) {
     Executor<float>& executor = session.pipeline->executor();
     EXPECT_EQ(executor.description(), "cpu, 2 processes on 1 host");
-    executor.set_gradient_hook(nullptr);
-    EXPECT_THROW(executor.set_gradient_hook([](const StepGradients<float>&) {}), Error);
   });
 }
 

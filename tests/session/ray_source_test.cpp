@@ -10,7 +10,6 @@
 #include "config/settings/choices.h"
 #include "core/rng.h"
 #include "scene/scene.h"
-#include "tests/session/gradient_hook.h"
 #include "tests/session/oracle.h"
 #include "train/trainer.h"
 
@@ -485,37 +484,6 @@ TEST(RayBatch, RowsCutEveryArrayAndItsCountsOfTiles) {
   EXPECT_EQ(empty.targets.more.begin()->view.cols, 4);
   EXPECT_EQ(empty.origin.cols, 3);
   EXPECT_EQ(empty.targets.label.cols, 1);
-}
-
-// The gradient hook: what a program sees and may change between backward and Adam.
-
-TEST(GradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
-  expect_hook_sees_every_tensor(
-      "", [](const StepGradients<float>& gradients, const Tensor<float>& t, const View<float>& view) {
-        EXPECT_EQ(gradients.stream, nullptr);
-        EXPECT_EQ(view.data, t.grad.data()) << t.name;
-        EXPECT_EQ(view.device, Device::cpu);
-      });
-}
-
-TEST(GradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
-  expect_half_of_the_gradients_is_half_of_the_weight("", [](const StepGradients<float>& gradients) {
-    for (const View<float>& gradient : gradients.tensors) {
-      for (std::int64_t i = 0; i < gradient.size(); ++i) gradient.data[i] *= 0.5F;
-    }
-  });
-}
-
-TEST(GradientHook, AnErrorEndsTheStepAndChangesNothing) { expect_an_error_of_the_hook_ends_the_step(""); }
-
-TEST(GradientHook, WhatItWritesIsChecked) {
-  TestRun run(hash_config());
-  run.to(2);
-  call(run, [](const StepGradients<float>& gradients) { gradients.tensors.back().data[0] = NAN; });
-  const std::uint32_t before = run.bits();
-  EXPECT_THROW(run.trainer.advance(), Error);
-  EXPECT_EQ(run.bits(), before);
-  EXPECT_EQ(run.trainer.step(), 2);
 }
 
 // The number of steps that fits into a time, settled from the rate of the steps; seconds are counted, never read.
