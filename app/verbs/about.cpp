@@ -322,7 +322,7 @@ Verb verb_plugins_show() {
   return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", run);
 }
 
-// config: a configuration read as a run would, explained, compared, and the schema of all.
+// config: a configuration read as a run would, explained and compared.
 
 namespace {
 
@@ -369,7 +369,7 @@ int run(const DiffOptions& options, AppContext& context) {
 std::string open_choices(const ConfigNode& tree) {
   std::string out;
   const std::vector<ConfigSetting> settings = config_settings(tree);
-  for (const SchemaSection& section : describe_sections()) {
+  for (const SectionDoc& section : describe_sections()) {
     for (const ParamDoc& param : section.params) {
       const std::string key = section.path + "." + param.name;
       const bool open = std::any_of(settings.begin(), settings.end(),
@@ -391,13 +391,6 @@ int explain(const ConfigWords& options, AppContext& context) {
   return 0;
 }
 
-// config schema: the JSON schema of configurations.
-
-int schema(const Options&, AppContext& context) {
-  std::fputs(json_schema_of("Semfield configuration", describe_sections(&context.registry)).c_str(), stdout);
-  return 0;
-}
-
 }  // namespace
 
 Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
@@ -412,11 +405,6 @@ Verb verb_config_diff() {
 
 Verb verb_config_explain() {
   return make_verb<ConfigWords>("config explain", 20, "print the final tree, with the origin of every value", explain);
-}
-
-Verb verb_config_schema() {
-  return without_json(
-      make_verb<Options>("config schema", 40, "print a JSON schema of configurations (and --plugin modules)", schema));
 }
 
 // help: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.
@@ -440,7 +428,7 @@ struct HelpOptions : Options {
 // Tables of every section of a configuration, under headings of their own.
 std::string section_tables() {
   std::string text;
-  for (const SchemaSection& section : describe_sections())
+  for (const SectionDoc& section : describe_sections())
     text +=
         "### `" + section.path + "`: " + section.sentence + "\n\n" + parameter_table_markdown(section.params) + "\n";
   return text;

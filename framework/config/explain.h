@@ -1,5 +1,4 @@
-// A configuration as text: what a composed one is made of, what is wrong with it, how two differ, and a JSON schema of
-// its keys.
+// A configuration as text: what a composed one is made of, what is wrong with it, how two differ.
 #pragma once
 
 #include <string>
@@ -42,22 +41,10 @@ struct ConfigDifference {
 /// In the order of `a` and then of what only `b` has. Places and the order of keys do not count.
 std::vector<ConfigDifference> config_differences(const ConfigNode& a, const ConfigNode& b);
 
-// A JSON schema of the configuration, for editors: fixed sections and plugin slots by key path.
-
-/// The keys of one map, `path` being its key path: "train", "train.adam", "" for the top; "passes[]" is each item of a
-/// list. With `alternatives` ("scene", "passes[].sampler") the map's key `type` chooses one of them by its `path`, and
-/// sections at or below the same path ("scene.labels") are allowed with every alternative.
-struct SchemaSection {
-  std::string path;
-  std::string sentence;
-  std::vector<ParamDoc> params = {};
-  bool or_list = false;  ///< a list of such maps may stand there too
-  std::vector<SchemaSection> alternatives = {};
+/// The keys of one map for the reference, `path` being its key path: "train.adam", "passes[].semantic".
+struct SectionDoc {
+  std::string path, sentence;
+  std::vector<ParamDoc> params;
 };
-
-/// JSON schema (draft 7), indented by two spaces. Every map refuses keys that are not listed; a slot without `type` may
-/// hold keys of any alternative, since `include` or `like` can bring the type. The top also allows `include` and
-/// `overrides`.
-std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections);
 
 }  // namespace semfield

@@ -1,5 +1,5 @@
 // Parameters declared once: name, type, default, range and sentence stand on one line of describe(); reading,
-// validation, help, the reference page, resolved YAML and the JSON schema are visitors over it. No YAML and no template
+// validation, help, the reference page, resolved YAML are visitors over it. No YAML and no template
 // of ours crosses a module border.
 #pragma once
 
@@ -135,13 +135,11 @@ void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const s
 /// The resolved values as a tree: every parameter, defaults included, in declaration order.
 ConfigNode params_to_config(const Describe& describe);
 
-/// One parameter, as the reference page, help and schema need it. `type` is bool, int, number, text, choice, or list of
-/// int, number or text; `range` is "[1, 32]", ">= 1", "<= 5" or empty, and `limits` the same in
-/// numbers.
+/// One parameter, as reference page and help need it. `type` is bool, int, number, text, choice, or list of
+/// int, number or text; `range` is "[1, 32]", ">= 1", "<= 5" or empty.
 struct ParamDoc {
   std::string name, type, default_value, range, help;
   std::vector<std::string> choices;
-  Range limits{};
 };
 std::vector<ParamDoc> describe_params(const Describe& describe);
 

@@ -236,7 +236,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
 """
 # What is offered where a line behind "semfield " ends.
 OFFERED = {
-    "tr": "train", "config ": "check diff explain schema", "-q config ch": "check", "help conf": "config",
+    "tr": "train", "config ": "check diff explain", "-q config ch": "check", "help conf": "config",
     "--plugin x.so config ch": "check",
     "eval --sp": "--split", "train room.yaml --dr": "--dry-run", "bench step --si": "--size",
     "eval --vid": "", "help --compl": "--completion",

@@ -167,14 +167,14 @@ class Program(ProgramCase):
             code.unlink()
             return text
 
-        self.assertEqual(code_of("config schema", "head -1"), "0\n")
-        self.assertEqual(code_of("config schema", "true"), "0\n")
+        self.assertEqual(code_of("help --completion", "head -1"), "0\n")
+        self.assertEqual(code_of("help --completion", "true"), "0\n")
         self.assertEqual(code_of("train config.yaml --out run", "true"), "0\n", "training goes on without its reader")
         self.ends_in_the_same_bits()
         if not os.path.exists("/dev/full"):
             self.skipTest("no /dev/full here: a full stdout was not tried")
         with open("/dev/full", "wb") as full:
-            done = subprocess.run([PROGRAM, "config", "schema"], stdout=full, stderr=subprocess.PIPE, text=True)
+            done = subprocess.run([PROGRAM, "help", "--completion"], stdout=full, stderr=subprocess.PIPE, text=True)
         self.assertEqual(done.returncode, 74)
         self.has(done.stderr, "cannot write the results to stdout")
 

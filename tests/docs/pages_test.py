@@ -6,7 +6,6 @@ SEMFIELD_DOCS names the folder with the pages that the build makes."""
 
 import collections
 import functools
-import json
 import os
 import pathlib
 import re
@@ -18,6 +17,13 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 BUILT = pathlib.Path(os.environ["SEMFIELD_DOCS"])
+# Where a plugin of each kind stands in a configuration.
+SLOTS = {
+    "Encoders": "passes.N.position passes.N.direction passes.N.semantic.position heads.N.branch.position",
+    "Fields": "passes.N.field passes.N.semantic.field heads.N.branch.field", "Samplers": "passes.N.sampler",
+    "Datasets": "scene", "Heads": "heads.N", "Losses": "losses.N", "Label readers": "scene.labels.from",
+    "Degradations": "scene.labels.degrade.N", "Groupings": "objects.method",
+}
 SECTIONS = "scene|semantics|rendering|passes|train|runtime|report|fuse|propagate|limits"
 
 
@@ -151,25 +157,33 @@ class Keys(ProgramCase):
         cls.keys = {*"scene.root scene.file scene.classes scene.type scene.unknown_labels scene.masks".split(),
                     "scene.least_confidence", "train.schedule.legs"}
         cls.datasets = collections.defaultdict(set)
-        schema = json.loads(cls("ok").ok("config schema", SOURCE).out)
-        for dataset in schema["properties"].pop("scene")["oneOf"]:
-            name = dataset["properties"].get("type", {}).get("const", "any")
-            cls.add("scene", dataset, cls.datasets[name])
-        cls.add("", schema, cls.keys)
+        cls.keys |= {*"name base_dir plugins include overrides passes passes.N passes.N.name passes.N.like heads losses".split()}
+        for _, section, params in cls.tables("configuration.md"):
+            cls.add(section.replace("[]", ".N"), params, cls.keys)
+        for kind, name, params in cls.tables("plugins.md"):
+            for slot in SLOTS[kind].split():
+                cls.add(slot, [("type", "text"), *params], cls.datasets[name] if slot == "scene" else cls.keys)
         cls.keys |= set.intersection(*cls.datasets.values())
         cls.everywhere = cls.keys.union(*cls.datasets.values())
         # Codes look like keys; the build writes this page from the sources.
         cls.codes = set(re.findall(r"\n\| `([a-z0-9_.]+)` \|", page("docs/reference/codes.md")))
 
     @classmethod
-    def add(cls, path, schema, to):
-        to.add(path)
-        for one in schema.get("oneOf", []) + schema.get("anyOf", []):
-            cls.add(path, one, to)
-        for name, one in schema.get("properties", {}).items():
-            cls.add(f"{path}.{name}".lstrip("."), one, to)
-        if "items" in schema:
-            cls.add(f"{path}.N", schema["items"], to)
+    def tables(cls, name):
+        """Heading, name and parameters with their types, of each table that the build writes into a page."""
+        text = (BUILT / "docs/reference" / name).read_text(encoding="utf-8")
+        for part in re.split(r"^## ", text, flags=re.M):
+            for one in re.split(r"^### `", part, flags=re.M)[1:]:
+                yield part.partition("\n")[0], one.partition("`")[0], re.findall(r"^\| `(\w+)` \| ([a-z ]+) \|", one, re.M)
+
+    @classmethod
+    def add(cls, path, params, to):
+        words = path.split(".")
+        to |= {".".join(words[:i + 1]) for i in range(len(words))}
+        for name, type in params:
+            to |= {f"{path}.{name}"} | ({f"{path}.{name}.N"} if type.startswith("list") else set())
+        if path.startswith("passes.N.semantic") and not path.startswith("passes.N.semantic.N"):  # or a list of them
+            cls.add(path.replace("semantic", "semantic.N"), params, to)
 
     @functools.cache
     def literals(self):

@@ -117,11 +117,6 @@ class ModuleTrust(ModuleCase):
         self.has(self.ok(self.run_words("sweep", sweep, "--plugin", self.module, "--out", self.dir / "out")).out,
                  "cells=1 done=1 failed=0")
 
-    def test_schemas_hold_the_parameters_of_outside_plugins(self):
-        schema = self.ok(self.run_words("config", "schema", "--plugin", probe("sound"))).out
-        self.has(str(json.loads(schema)), "number of sine bands a coordinate")
-        self.lacks(self.ok(self.run_words("config", "schema")).out, "number of sine bands a coordinate")
-
 
 class PluginsCheck(ModuleCase):
     """`semfield plugins check`."""

@@ -57,7 +57,7 @@ std::string owner_of(const PluginSlot& slot) {
 template <class See>
 void each_slot(const RunConfig& config, const See& see) {
   const auto look = [&](const std::string& key, const auto& owner) {
-    each_slot_of(owner, [&](const char* name, PluginKind, const PluginSlot& slot, bool, const char*) {
+    each_slot_of(owner, [&](const char* name, PluginKind, const PluginSlot& slot, bool) {
       if (slot.entry != nullptr) see(key + "." + name, slot);
     });
   };

@@ -145,7 +145,7 @@ class Reading {
 
   template <class Pass>
   void slots(const ConfigNode& node, const std::string& path, Pass& pass) {
-    each_slot_of(pass, [&](const char* key, PluginKind kind, PluginSlot& of_pass, bool required, const char*) {
+    each_slot_of(pass, [&](const char* key, PluginKind kind, PluginSlot& of_pass, bool required) {
       if (const ConfigNode* plugin = node.given(key)) {
         of_pass = slot(kind, *plugin, path + "." + key);
       } else if (required) {
@@ -315,7 +315,7 @@ ConfigNode typed_config(const std::string& type, const Describe& describe) {
 
 template <class Pass>
 void write_slots(ConfigNode& node, const Pass& pass) {
-  each_slot_of(pass, [&](const char* key, PluginKind, const PluginSlot& slot, bool, const char*) {
+  each_slot_of(pass, [&](const char* key, PluginKind, const PluginSlot& slot, bool) {
     if (slot.entry != nullptr) node.set(key, slot_config(slot));
   });
 }
@@ -391,7 +391,7 @@ void write_parts(const RunConfig& config, ConfigNode& tree) {
   tree.set("passes", ConfigNode::list_of(config.passes, pass_config));
 }
 
-void document_parts(const Registry* plugins, std::vector<SchemaSection>& docs) {
+void document_parts(std::vector<SectionDoc>& docs) {
   ScheduleLeg leg;
   docs.push_back({"train.schedule.legs[]",
                   "written by runs that continue beyond their first length: a list of what they train then",
@@ -400,52 +400,13 @@ void document_parts(const Registry* plugins, std::vector<SchemaSection>& docs) {
   docs.push_back({"passes[].semantic",
                   "a network of its own for semantics, besides its plugins `position` and `field`, or a list of them "
                   "from which the training labels choose; without this section the head reads the pass's field",
-                  describe_params(described(branch)), true});
+                  describe_params(described(branch))});
   HeadConfig head;
   docs.push_back({"heads[]",
                   "heads in addition to that of class logits: each makes a channel that losses and renderings read",
                   describe_params(described<HeadChannel>(head))});
   docs.push_back({"heads[].branch", "the head's own network, besides its plugins `position` and `field`",
                   describe_params(described(head.rules))});
-  if (plugins == nullptr) return;
-  const auto text = [](const char* name, const char* usual, const char* sentence) {
-    return ParamDoc{name, "text", usual, "", sentence, {}};
-  };
-  docs.push_back({"",
-                  "",
-                  {text("name", "", "name of the run and its default folder"),
-                   text("base_dir", "",
-                        "folder at which relative paths start that come from no file; default: the working folder"),
-                   {"plugins",
-                    "list of text",
-                    "[]",
-                    "",
-                    "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
-                    {}}}});
-  docs.push_back({"passes[]",
-                  "one pass over the rays",
-                  {text("name", "main", "name of the pass, the prefix of its tensors"),
-                   text("like", "", "an earlier pass that this one starts from")}});
-  const auto slot = [&](const std::string& path, PluginKind kind, const char* sentence) {
-    SchemaSection& doc = docs.emplace_back(SchemaSection{path, sentence});
-    for (const PluginEntry* entry : plugins->entries())
-      if (entry->kind == kind)
-        doc.alternatives.push_back({entry->name, entry->summary, describe_params(described(*entry->new_params()))});
-  };
-  const auto slots = [&](const std::string& path, const auto& pass) {
-    each_slot_of(pass, [&](const char* key, PluginKind kind, const PluginSlot&, bool, const char* sentence) {
-      slot(path + "." + key, kind, sentence);
-    });
-  };
-  slot("losses[]", PluginKind::loss, "terms of the loss in addition to colour and semantics; each type once");
-  slot("heads[]", PluginKind::head, "heads in addition to that of class logits");
-  slots("heads[].branch", head);
-  slot("scene.labels.from", PluginKind::label_reader, "label files to train on instead of the dataset's own labels");
-  slot("scene.labels.degrade[]", PluginKind::degradation, "changes of the training labels, in order");
-  slot("objects.method", PluginKind::grouping, "what `semfield objects` learns from segments");
-  slot("scene", PluginKind::dataset, "where frames come from");
-  slots("passes[]", PassConfig());
-  slots("passes[].semantic", branch);
 }
 
 PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,

@@ -105,19 +105,18 @@ struct HeadConfig : HeadChannel, BranchConfig {
   PluginSlot head;
 };
 
-/// Every plugin of a pass or a branch, as see(key, kind, slot, whether it must be there, sentence): the one list by
-/// which they are read, written, documented and looked through.
+/// Every plugin of a pass or a branch, as see(key, kind, slot, whether it must be there): the one list by which they
+/// are read, written and looked through.
 template <class Pass, class See>
 void each_slot_of(Pass& pass, const See& see) {
   if constexpr (requires { pass.sampler; }) {
-    see("sampler", PluginKind::sampler, pass.sampler, true, "where along a ray the field is evaluated");
-    see("position", PluginKind::encoder, pass.position, true, "position encoder");
-    see("direction", PluginKind::encoder, pass.direction, false,
-        "direction encoder; leave it out for a view-independent field");
-    see("field", PluginKind::field, pass.field, true, "the network");
+    see("sampler", PluginKind::sampler, pass.sampler, true);
+    see("position", PluginKind::encoder, pass.position, true);
+    see("direction", PluginKind::encoder, pass.direction, false);
+    see("field", PluginKind::field, pass.field, true);
   } else {
-    see("position", PluginKind::encoder, pass.position, true, "position encoder of the branch");
-    see("field", PluginKind::field, pass.field, true, "network of the branch");
+    see("position", PluginKind::encoder, pass.position, true);
+    see("field", PluginKind::field, pass.field, true);
   }
 }
 
@@ -159,7 +158,7 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
 void read_parts(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics);
 /// Adds them to the resolved configuration.
 void write_parts(const RunConfig& config, ConfigNode& tree);
-/// Adds what the reference says of them; with plugins every key, for the schema.
-void document_parts(const Registry* plugins, std::vector<SchemaSection>& docs);
+/// Adds what the reference says of them.
+void document_parts(std::vector<SectionDoc>& docs);
 
 }  // namespace semfield

@@ -178,13 +178,13 @@ ConfigNode resolved_config(const RunConfig& config) {
   return tree;
 }
 
-std::vector<SchemaSection> describe_sections(const Registry* plugins) {
-  std::vector<SchemaSection> docs;
+std::vector<SectionDoc> describe_sections() {
+  std::vector<SectionDoc> docs;
   RunConfig defaults;
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
     docs.push_back({path, sentence, describe_params(described(params))});
   });
-  document_parts(plugins, docs);
+  document_parts(docs);
   return docs;
 }
 

@@ -63,7 +63,7 @@ RunConfig run_config_of(const ConfigNode& tree, Registry& registry);
 /// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
 ConfigNode resolved_config(const RunConfig& config);
 
-/// Fixed sections by key path, for the reference; with plugins every key, for the schema.
-std::vector<SchemaSection> describe_sections(const Registry* plugins = nullptr);
+/// By key path, for the reference.
+std::vector<SectionDoc> describe_sections();
 
 }  // namespace semfield
