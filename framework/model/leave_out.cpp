@@ -236,9 +236,9 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
   plan.undistortion = !planner.leave(!manifest.any_distortion,
                                      {"undistortion", "every distortion coefficient is 0", "0 cameras with distortion",
                                       ProofClass::bitwise, "Newton iterations for each ray"});
-  plan.depth_metrics = !planner.leave(
-      !manifest.any_depth, {"depth_metrics", "the scene has no depth maps", "0 frames with depth", ProofClass::bitwise,
-                            "depth buffers and their metrics", "give the scene depth maps"});
+  planner.leave(!manifest.any_depth,
+                {"depth_metrics", "the scene has no depth maps", "0 frames with depth", ProofClass::bitwise,
+                 "depth buffers and their metrics", "give the scene depth maps"});
   const double depth_mb = 2e-6 * static_cast<double>(request.training_depth_px);
   planner.leave(
       request.training_depth_px > 0,

@@ -78,7 +78,6 @@ struct BuildPlan {
   int first_pass = 0;  ///< earlier passes are not built
   bool head_on_unlabelled_rays = false;
   bool undistortion = true;
-  bool depth_metrics = true;
   std::int64_t learned_poses = 0, learned_colors = 0;  ///< training cameras whose corrections are learned
   bool late_samples = false;                           ///< rendering evaluates samples behind an opaque surface too
   std::vector<std::string> no_losses;                  ///< types of the list `losses` that are not built

@@ -171,20 +171,12 @@ class ParamStore final : public TensorStore<Real> {
     return nullptr;
   }
   int lanes() const { return lanes_; }
-  /// Learned scalars, and bytes of everything.
+  /// Learned scalars.
   std::int64_t learned_count() const {
     std::int64_t sum = 0;
     for (const Tensor<Real>& t : tensors_) sum += t.learned() ? t.size() : 0;
     return sum;
   }
-  std::size_t bytes() const {
-    std::size_t sum = 0;
-    for (const Tensor<Real>& t : tensors_) {
-      sum += (t.value.size() + t.grad.size() + t.moment1.size() + t.moment2.size() + t.lanes.size()) * sizeof(Real);
-    }
-    return sum;
-  }
-  std::uint64_t seed() const { return seed_; }
 
  private:
   struct LaneSum {  // elements of a tensor whose lanes one task adds

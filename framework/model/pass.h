@@ -226,7 +226,6 @@ class Pass {
   void observe(const StepContext& ctx) const {
     observe(ctx, [&](View<const double> positions, View<Real> sigma) { density(ctx, positions, sigma); });
   }
-  std::string status() const { return parts_.sampler->status(store_->tensors(sampler_)); }
 
   /// sigma [N, 1] after activation at world positions [N, 3].
   void density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const;

@@ -69,8 +69,6 @@ class Sampler : public Parametric<Real> {
 
   /// After an optimiser step: refresh state tensors. Outside parallel regions.
   virtual void observe(const StepContext&, const Tensors<Real>&, const DensityQuery<Real>&) const {}
-  /// One line for the run's log ("occupied 6.1 %"), or "".
-  virtual std::string status(const Tensors<Real>&) const { return {}; }
 
  protected:
   virtual void do_sample(const StepContext&, const Tensors<Real>&, const Rays<Real>&, const Proposal<Real>*,

@@ -73,7 +73,6 @@ class PoisonedSampler final : public Sampler<float> {
   void observe(const StepContext& ctx, const Tensors<float>& t, const DensityQuery<float>& query) const override {
     inner_->observe(ctx, t, query);
   }
-  std::string status(const Tensors<float>& t) const override { return inner_->status(t); }
 
  protected:
   void do_sample(const StepContext& ctx, const Tensors<float>& t, const Rays<float>& rays,

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 
 #include "plugin/module.h"
@@ -156,15 +155,6 @@ void OccupancyGrid<Real>::observe(const StepContext& ctx, const Tensors<Real>& t
   const OccupancyState<Real> state = state_of(tensors);
   kernels_->update(args, state, query);
   if (ctx.step + params_.update_every >= params_.warmup_steps) kernels_->publish(args, state);
-}
-
-template <class Real>
-std::string OccupancyGrid<Real>::status(const Tensors<Real>& tensors) const {
-  const Real* summary = tensors.value[3].data;
-  if (!(summary[2] > 0)) return "occupied 100 % (warm-up)";
-  char text[48];
-  std::snprintf(text, sizeof text, "occupied %.1f %%", 100.0 * static_cast<double>(summary[2]));
-  return text;
 }
 
 template class OccupancyGrid<float>;

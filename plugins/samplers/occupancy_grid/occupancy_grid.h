@@ -70,7 +70,6 @@ class OccupancyGrid final : public Sampler<Real> {
     declarer.tensor({"summary", 3, 1, Init::constant(0), TensorRole::state});
   }
   void observe(const StepContext& ctx, const Tensors<Real>& tensors, const DensityQuery<Real>& query) const override;
-  std::string status(const Tensors<Real>& tensors) const override;
   const OccupancyGeometry& geometry() const { return geometry_; }
 
  protected:
