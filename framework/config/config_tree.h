@@ -1,4 +1,4 @@
-// The configuration tree: every node knows its file, line and column. yaml_reader.cpp makes it of YAML, explain.cpp
+// The configuration tree: every node knows its file, line and column. compose.cpp makes it of YAML, explain.cpp
 // writes it.
 #pragma once
 
