@@ -52,7 +52,6 @@ void add(LossSums& sum, const LossSums& part) {
   sum.semantic += part.semantic;
   for (std::size_t i = 0; i < kMostLossTerms; ++i) sum.terms[i] += part.terms[i];
   sum.labelled += part.labelled;
-  sum.correct += part.correct;
   sum.samples += part.samples;
   sum.dense |= part.dense;
 }
@@ -565,7 +564,6 @@ StepLosses StreamExecutor::losses_of(std::span<const StepSums* const> sums, cons
     for (std::size_t i = 0; i < kMostLossTerms; ++i) out.terms[i] += pass.terms[i];
     out.samples = pass.samples;
     out.labelled = pass.labelled;
-    out.correct = pass.correct;
     if (pass.dense != 0) out.dense_passes |= 1U << p;
   }
   return host_.means_of(out, scales);

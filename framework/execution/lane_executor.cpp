@@ -170,7 +170,6 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
     for (std::size_t i = 0; i < options().losses.entries().size(); ++i) sum.terms[i] += tile.terms[i];
     sum.samples += tile.samples;
     sum.labelled += tile.labelled;
-    sum.correct += tile.correct;
     sum.dense_passes |= tile.dense_passes;
   }
   return pipeline_.means_of(sum, scales);
@@ -250,7 +249,6 @@ class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
                                                                options.rules.semantics.weight, d_logits, tile_.begin);
     sums.semantic += semantic.sum;
     sums.labelled = semantic.labelled;
-    sums.correct = semantic.correct;
   }
   const LossList& losses() const override { return owner_.options().losses; }
   std::uint32_t active_losses() const override { return scales_.terms.active; }

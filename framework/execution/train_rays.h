@@ -101,7 +101,6 @@ struct StepLosses {
   std::uint32_t active = 0;   ///< bit i: loss i works in this step
   std::int64_t samples = 0;   ///< of the last pass
   std::int64_t labelled = 0;  ///< rays with a label
-  std::int64_t correct = 0;   ///< of them, rays whose largest logit of the last pass is the label
   std::uint32_t dense_passes =
       0;  ///< bit p: pass p met density somewhere. Without it nothing of the pass gets a gradient
 };

@@ -192,7 +192,6 @@ IN_BOTH_PRECISIONS(one_class) {
     run.measure(std::abs(gradient[0]), 0, "gradient");
     run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
     run.near(softmax_of(s)[0], 1, 0, "probability");
-    run.expect(loss_of<Real>(s, 0, nullptr).correct == 1, "the only class is right");
   }
 }
 
@@ -579,7 +578,7 @@ void all_void(CaseRun& run) {
               semantic_cross_entropy<Real>({logits.data(), kRays, kClasses}, targets, class_weight, normaliser, 1.0,
                                            {gradient.data(), kRays, kClasses});
           run.measure(std::abs(loss.sum), 0, "loss");
-          run.expect(loss.labelled == 0 && loss.correct == 0, "no ray counts");
+          run.expect(loss.labelled == 0, "no ray counts");
           const std::vector<Real> zeros(gradient.size(), Real(0));
           run.expect(std::memcmp(gradient.data(), zeros.data(), sizeof(Real) * zeros.size()) == 0,
                      "every gradient is +0, bit by bit");

@@ -158,7 +158,6 @@ struct LossSums {
   double semantic = 0;                ///< weighted cross-entropy in nats, before division
   double terms[kMostLossTerms] = {};  ///< of the list `losses`
   std::int64_t labelled = 0;
-  std::int64_t correct = 0;
   std::int64_t samples = 0;  ///< in use
   std::int64_t drawn = 0;    ///< of which they are
   std::int32_t dense = 0;    ///< 1: some sample has density
@@ -169,8 +168,8 @@ struct LossSums {
 void photometric_loss(Workspace& arena, View<const float> color, View<const float> target, double normaliser,
                       View<float> d_color, LossSums* sums);
 
-/// As semfield::semantic_cross_entropy with the normaliser read from launch().cell: d_logits [N, C], sums->semantic,
-/// labelled and correct. hard [N, 1] or soft [N, C] (device); class_weight [1, C] (device) or empty. A logit of a
+/// As semfield::semantic_cross_entropy with the normaliser read from launch().cell: d_logits [N, C], sums->semantic
+/// and labelled. hard [N, 1] or soft [N, C] (device); class_weight [1, C] (device) or empty. A logit of a
 /// labelled ray that is not finite is a fault of Stage::logits, a label outside -1..C-1 or a soft value that is no
 /// probability one of Stage::label; such a ray counts as unlabelled.
 void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,

@@ -67,7 +67,7 @@ constexpr int kSoftmaxThreads = kRays * kWarp;
 
 struct Term {
   double loss;
-  long long labelled, correct;
+  long long labelled;
 };
 
 // What a ray needs besides its logits.
@@ -160,15 +160,12 @@ __device__ Term ray_term(const Rule& rule, View<const float> logits, View<float>
     return term;
   }
   term.labelled = 1;
-  std::int32_t truth = label;
   if (is_hard) {
     term.loss = hard_row(rule, row, logits.cols, label, top, d_row, lane);
   } else {
     const float* const target = rule.soft.row(r);
     term.loss = soft_row(rule, row, logits.cols, target, target_sum, top, d_row, lane);
-    truth = top_of_row(target, logits.cols, lane).argmax;
   }
-  term.correct = top.argmax == truth ? 1 : 0;
   return term;
 }
 
@@ -190,7 +187,6 @@ __global__ void __launch_bounds__(kSoftmaxThreads)
   for (int w = 1; w < kRays; ++w) {
     term.loss += of_ray[w].loss;
     term.labelled += of_ray[w].labelled;
-    term.correct += of_ray[w].correct;
   }
   of_block[blockIdx.x] = term;
 }
@@ -202,15 +198,12 @@ __global__ void __launch_bounds__(kSoftmaxThreads)
   for (std::int64_t i = threadIdx.x; i < count; i += kSoftmaxThreads) {
     term.loss += of_block[i].loss;
     term.labelled += of_block[i].labelled;
-    term.correct += of_block[i].correct;
   }
   term.loss = block_sum<kSoftmaxThreads>(term.loss);
   term.labelled = block_sum<kSoftmaxThreads>(term.labelled);
-  term.correct = block_sum<kSoftmaxThreads>(term.correct);
   if (threadIdx.x != 0) return;
   sums->semantic = term.loss;
   sums->labelled = term.labelled;
-  sums->correct = term.correct;
 }
 
 // Looks for the largest size of a number: 4 B per number read.

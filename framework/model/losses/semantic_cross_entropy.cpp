@@ -200,16 +200,7 @@ SemanticLoss semantic_cross_entropy(View<const Real> logits, const SemanticTarge
     const RowSum row = is_hard && term.d_logits != nullptr ? sum_row(term.logits, logits.cols, ray, term.d_logits)
                                                            : sum_row(term.logits, logits.cols, ray);
     result.labelled += 1;
-    std::int32_t truth = label;
-    if (is_hard) {
-      result.sum += term.hard(row, label);
-    } else {
-      const float* p = targets.soft.row(r);
-      result.sum += term.soft(row, p, soft_sum);
-      truth = 0;
-      for (std::int32_t c = 1; c < logits.cols; ++c) truth = p[c] > p[truth] ? c : truth;
-    }
-    result.correct += row.argmax == truth ? 1 : 0;
+    result.sum += is_hard ? term.hard(row, label) : term.soft(row, targets.soft.row(r), soft_sum);
   }
   return result;
 }

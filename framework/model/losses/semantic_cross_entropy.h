@@ -28,7 +28,6 @@ struct SemanticTargets {
 struct SemanticLoss {
   double sum = 0;             ///< weighted cross-entropy in nats, before division
   std::int64_t labelled = 0;  ///< rays that carried a label
-  std::int64_t correct = 0;   ///< labelled rays whose largest logit is the label (soft: the most probable class)
 };
 
 /// Labelled rays of the whole batch or, with class weights [C] (as a row view [1, C]), their total weight: the count
