@@ -107,14 +107,12 @@ class Field : public Parametric<Real> {
 struct ExactSavings {
   bool fold_feature_layer = true;      ///< multiply feature and view layer once per step (no activation stands between)
   bool direction_once_per_ray = true;  ///< the view layer's direction part and bias once per ray
-  bool deferred_class_layer = true;    ///< composite the hidden semantic feature, apply the class layer once per ray
 };
 
 struct FieldBuild {
   Device device = Device::cpu;
   std::int32_t position_dims = 0;
   std::int32_t direction_dims = 0;  ///< 0: the view branch is left out
-  bool wants_feature = true;        ///< false: no semantic head reads the feature
   bool feature_only = false;        ///< true: neither density nor colour is ever asked for, and may be left out
   ExactSavings savings{};
   Precision precision = Precision::fp32;  ///< of the matrix products; a field without such kernels refuses

@@ -92,11 +92,9 @@ std::vector<FieldBuild> field_builds(const Registry& registry, const std::string
   all.direction_dims = 16;
   FieldBuild no_direction = all;
   no_direction.direction_dims = 0;
-  FieldBuild no_feature = all;
-  no_feature.wants_feature = false;
   FieldBuild no_savings = all;
-  no_savings.savings = {false, false, false};
-  std::vector<FieldBuild> builds{all, no_direction, no_feature, no_savings};
+  no_savings.savings = {false, false};
+  std::vector<FieldBuild> builds{all, no_direction, no_savings};
   const std::string tables = registry.kernels().devices_of("field '" + name + "'");
   if (tables.find(std::string(device_name(device)) + " bf16") != std::string::npos) {
     for (FieldBuild build : {all, no_direction, no_savings}) {
@@ -123,10 +121,8 @@ std::string text_of(const EncoderBuild& build) { return build.is_direction ? "di
 std::string text_of(const FieldBuild& build) {
   std::string text = build.precision == Precision::bf16 ? "bf16" : "fp32";
   if (build.direction_dims == 0) text += ", no direction";
-  if (!build.wants_feature) text += ", no feature";
   const ExactSavings& savings = build.savings;
-  if (!savings.fold_feature_layer && !savings.direction_once_per_ray && !savings.deferred_class_layer)
-    text += ", no savings";
+  if (!savings.fold_feature_layer && !savings.direction_once_per_ray) text += ", no savings";
   return text;
 }
 

@@ -158,7 +158,7 @@ SamplerBuild sampler_build(Device device);
 /// Of one column and of many.
 std::vector<HeadBuild> head_builds(Device device);
 
-/// "directions", "bf16, no feature", "".
+/// "directions", "bf16, no direction", "".
 std::string text_of(const EncoderBuild& build);
 std::string text_of(const FieldBuild& build);
 std::string text_of(const SamplerBuild& build);

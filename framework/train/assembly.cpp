@@ -165,11 +165,7 @@ PassParts<Real> make_pass(std::size_t number, const PassBuild& build, std::uniqu
     field_build.direction_dims = parts.direction->traits().out_dims;
   }
   const bool by_branch = semantics && pass.branch() != nullptr;
-  const bool heads_read = last && std::any_of(config.heads.begin(), config.heads.end(),
-                                              [](const HeadConfig& head) { return head.rules.reads_feature; });
-  field_build.wants_feature = heads_read || (semantics && (!by_branch || pass.branch()->rules.reads_feature));
-  field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray,
-                         config.runtime.deferred_class_layer};
+  field_build.savings = {config.runtime.fold_feature_layer, config.runtime.direction_once_per_ray};
   field_build.precision = config.runtime.precision;
   parts.field = make<Real>(pass.field.entry->field32, pass.field.entry->field64, pass.field, field_build, registry);
   const std::int32_t feature_dims = parts.field->traits().feature_dims;
