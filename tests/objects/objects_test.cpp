@@ -397,8 +397,8 @@ struct TwoThings {
 TEST(ObjectNetwork, GradientsOfAStepAreThoseOfItsLoss) {
   const TwoThings things;
   const ObjectLearning learning{.views = 2, .view_points = 24};
-  const std::unique_ptr<Grouping> assignment = grouping_of("assignment");
-  ObjectNetwork<double> net(testkit::linked_registry().kernels(), *assignment, kShape, kBox, 3, learning.views);
+  const std::unique_ptr<Grouping> contrastive = grouping_of("contrastive");
+  ObjectNetwork<double> net(testkit::linked_registry().kernels(), *contrastive, kShape, kBox, 3, learning.views);
   (void)net.gradients(things.positions, things.sights, learning, 5);
   for (Tensor<double>& tensor : net.store().all()) {
     if (!tensor.learned()) continue;

@@ -69,12 +69,12 @@ class Objects(ProgramCase):
         self.ok(f"{again} --threads 1")
         self.assertEqual((self.dir / "again/objects.csv").read_text(), first, "threads changed a number")
 
-    def test_segments_of_a_folder_and_both_methods(self):
+    def test_segments_of_a_folder_and_settings_of_the_method(self):
         self.trained()
         (self.dir / "segments").mkdir()
         for name, file in self.views().items():
             shutil.copy(file, self.dir / f"segments/{name}.png")
-        for method in ("", "--set 'objects.method={type: assignment, slots: 12}'"):
+        for method in ("", "--set 'objects.method={type: contrastive, dims: 4}'"):
             self.has(self.ok(f"objects run --segments segments {method} {QUICK}").out, "objects: objects=", "segments=")
         self.ended(f"objects run {QUICK}", 65, "[objects.segments.none]", "--segments")
         self.ended(f"objects run --segments segments --score --out scored {QUICK}", 65, "[objects.truth.none]")

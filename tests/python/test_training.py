@@ -633,10 +633,10 @@ def test_objects_are_a_table(box: sf.Run, tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "objects.json").write_text(json.dumps({"objects": [row, {**row, "id": 2, "name": "2", "class": None}]}))
     told = {"folder": str(tmp_path), "seconds": {"all": 2.5}, "score": {"pq": 0.9}}
     words = program_that(tmp_path, f"echo '{json.dumps(told)}'", monkeypatch)
-    found = box.objects("masks", set={"objects.reach": 0.3, "objects.method": {"type": "assignment"}}, out="there", score=True)
+    found = box.objects("masks", set={"objects.reach": 0.3, "objects.method": {"type": "contrastive"}}, out="there", score=True)
     said = words.read_text().split("\n")
     assert said[:7] == ["objects", str(box.run_dir), "--quiet", "--segments", "masks", "--out", "there"] and "--score" in said and "--json" in said
-    assert "objects.reach=0.3" in said and 'objects.method={"type": "assignment"}' in said
+    assert "objects.reach=0.3" in said and 'objects.method={"type": "contrastive"}' in said
     assert [one.class_name for one in found.objects] == ["chair", ""] and found.count() == {"chair": 1, "": 1}
     assert found.objects[0].box_axes.shape == (3, 3) and found.seconds["all"] == 2.5 and found.score == {"pq": 0.9}
 
