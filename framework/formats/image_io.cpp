@@ -1,12 +1,16 @@
-// Images in and out: PNG by our own codec, every other format through the library of ImageFormats.
+// Images in and out: PNG through libpng and zlib, every other format through the library of ImageFormats.
 #include "formats/image_io.h"
 
+#include <png.h>
 #include <zlib.h>
 
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <bit>
 #include <cmath>
+#include <csetjmp>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
@@ -79,24 +83,8 @@ PngHeader read_header(std::span<const std::uint8_t> file, std::size_t& at) {
   return h;
 }
 
-// Adam7: first column and row and their steps of each pass; pass 0 of a plain image covers all.
-struct Pass {
-  std::uint32_t x0, y0, dx, dy;
-};
-constexpr std::array<Pass, 7> kAdam7{
-    {{0, 0, 8, 8}, {4, 0, 8, 8}, {0, 4, 4, 8}, {2, 0, 4, 4}, {0, 2, 2, 4}, {1, 0, 2, 2}, {0, 1, 1, 2}}};
-constexpr std::array<Pass, 1> kPlain{{{0, 0, 1, 1}}};
-
-std::span<const Pass> passes_of(const PngHeader& h) {
-  return h.interlace != 0 ? std::span<const Pass>(kAdam7) : std::span<const Pass>(kPlain);
-}
-
-std::uint32_t steps(std::uint32_t size, std::uint32_t start, std::uint32_t step) {
-  return size <= start ? 0 : (size - start + step - 1) / step;
-}
-
-std::size_t row_bytes(const PngHeader& h, std::uint32_t width) {
-  return (std::size_t{width} * static_cast<std::size_t>(h.channels() * h.bits) + 7) / 8;
+std::size_t row_bytes(const PngHeader& h) {
+  return (std::size_t{h.width} * static_cast<std::size_t>(h.channels() * h.bits) + 7) / 8;
 }
 
 std::uint8_t paeth(int a, int b, int c) {
@@ -104,147 +92,56 @@ std::uint8_t paeth(int a, int b, int c) {
   return static_cast<std::uint8_t>(pa <= pb && pa <= pc ? a : pb <= pc ? b : c);
 }
 
-// Undoes the row filter in place, the bytes of a pixel known to the compiler; `up` is the decoded row above, all zero
-// for the first. The pixel to the left is kept in `left`, the one above it in `corner`.
-template <std::size_t kBytes>
-void unfilter_row(int filter, std::uint8_t* __restrict row, const std::uint8_t* __restrict up, std::size_t bytes) {
-  std::array<std::uint8_t, kBytes> left{}, corner{};
-  switch (filter) {
-    case 1:
-      for (std::size_t i = 0; i < bytes; i += kBytes) {
-        for (std::size_t c = 0; c < kBytes; ++c) row[i + c] = left[c] = static_cast<std::uint8_t>(row[i + c] + left[c]);
-      }
-      break;
-    case 2:
-      for (std::size_t i = 0; i < bytes; ++i) row[i] = static_cast<std::uint8_t>(row[i] + up[i]);
-      break;
-    case 3:
-      for (std::size_t i = 0; i < bytes; i += kBytes) {
-        for (std::size_t c = 0; c < kBytes; ++c)
-          row[i + c] = left[c] = static_cast<std::uint8_t>(row[i + c] + (left[c] + up[i + c]) / 2);
-      }
-      break;
-    case 4:
-      for (std::size_t i = 0; i < bytes; i += kBytes) {
-        for (std::size_t c = 0; c < kBytes; ++c) {
-          const std::uint8_t above = up[i + c];
-          row[i + c] = left[c] = static_cast<std::uint8_t>(row[i + c] + paeth(left[c], above, corner[c]));
-          corner[c] = above;
-        }
-      }
-      break;
-    default:
-      break;
-  }
+// Pixels of a file whose checksums, header and size are checked. libpng leaves an error by longjmp: what it leaves has
+// nothing to destroy.
+
+constexpr std::size_t kFaultBytes = 80;
+
+[[noreturn]] void keep_fault(png_struct* png, const char* what) {
+  std::snprintf(static_cast<char*>(png_get_error_ptr(png)), kFaultBytes, "%s", what);
+  png_longjmp(png, 1);
 }
 
-// Rows are whole pixels except below 8 bits, where a pixel counts as one byte.
-void unfilter(int filter, std::uint8_t* row, const std::uint8_t* up, std::size_t bytes, std::size_t pixel_bytes) {
-  switch (pixel_bytes) {
-    case 1:
-      return unfilter_row<1>(filter, row, up, bytes);
-    case 2:
-      return unfilter_row<2>(filter, row, up, bytes);
-    case 3:
-      return unfilter_row<3>(filter, row, up, bytes);
-    case 4:
-      return unfilter_row<4>(filter, row, up, bytes);
-    case 6:
-      return unfilter_row<6>(filter, row, up, bytes);
-    default:
-      return unfilter_row<8>(filter, row, up, bytes);
-  }
+void take_from_file(png_struct* png, std::uint8_t* to, std::size_t count) {
+  auto& left = *static_cast<std::span<const std::uint8_t>*>(png_get_io_ptr(png));
+  if (count > left.size()) png_error(png, "its data end early");
+  std::memcpy(to, left.data(), count);
+  left = left.subspan(count);
 }
 
-std::uint16_t sample_at(const std::uint8_t* row, std::size_t i, int bits) {
-  if (bits == 8) return row[i];
-  if (bits == 16) return static_cast<std::uint16_t>(row[2 * i] << 8 | row[2 * i + 1]);
-  const std::size_t bit = i * static_cast<std::size_t>(bits);
-  return static_cast<std::uint16_t>(row[bit / 8] >> (8 - bits - static_cast<int>(bit % 8)) & ((1 << bits) - 1));
+// Whole samples, row by row: a byte each below 16 bits.
+bool read_samples(png_struct* png, png_info* info, std::span<const std::uint8_t>& file, std::uint8_t** rows) {
+  if (setjmp(png_jmpbuf(png)) != 0) return false;
+  png_set_read_fn(png, &file, take_from_file);
+  png_set_crc_action(png, PNG_CRC_QUIET_USE, PNG_CRC_QUIET_USE);  // checksums and sizes are checked
+  png_set_user_limits(png, PNG_UINT_31_MAX, PNG_UINT_31_MAX);
+  png_set_keep_unknown_chunks(png, PNG_HANDLE_CHUNK_NEVER, nullptr, -1);  // such as colour spaces and texts
+  png_read_info(png, info);
+  png_set_packing(png);
+  if constexpr (std::endian::native == std::endian::little) png_set_swap(png);
+  png_set_interlace_handling(png);
+  png_read_update_info(png, info);
+  png_read_image(png, rows);
+  return true;
 }
 
-// Inflates the concatenated IDAT bodies into exactly `size` bytes.
-std::vector<std::uint8_t> inflate_data(const std::vector<std::span<const std::uint8_t>>& parts, std::size_t size) {
-  std::size_t packed = 0;
-  for (const auto& part : parts) packed += part.size();
-  // Deflate expands at most 1,032-fold: a header that promises more lies, and nothing is allocated for it.
-  if (packed < size / 1032) {
-    damaged("is truncated: " + std::to_string(packed) + " bytes of data cannot hold " + std::to_string(size) +
-            " bytes of pixels");
+void decode_samples(std::span<const std::uint8_t> file, const PngHeader& h, void* samples) {
+  std::vector<std::uint8_t*> rows(h.height);
+  const std::size_t bytes = std::size_t{h.width} * static_cast<std::size_t>(h.channels()) * (h.bits == 16 ? 2 : 1);
+  for (std::size_t y = 0; y < rows.size(); ++y) rows[y] = static_cast<std::uint8_t*>(samples) + y * bytes;
+  std::array<char, kFaultBytes> fault{};
+  png_struct* png =
+      png_create_read_struct(PNG_LIBPNG_VER_STRING, fault.data(), keep_fault, [](png_struct*, const char*) {});
+  png_info* info = png == nullptr ? nullptr : png_create_info_struct(png);
+  if (info == nullptr) {
+    png_destroy_read_struct(&png, nullptr, nullptr);
+    throw std::bad_alloc();
   }
-  std::vector<std::uint8_t> out(size);
-  z_stream z{};
-  const int started = ::inflateInit(&z);
-  if (started == Z_MEM_ERROR) throw std::bad_alloc();
-  if (started != Z_OK) throw Error(ErrorKind::failure, "memory.zlib.failed", "zlib could not start");
-  z.next_out = out.data();
-  z.avail_out = static_cast<uInt>(size);
-  int status = Z_OK;
-  for (const auto& part : parts) {
-    z.next_in = const_cast<Bytef*>(part.data());
-    z.avail_in = static_cast<uInt>(part.size());
-    while (status == Z_OK && z.avail_in > 0 && z.avail_out > 0) status = ::inflate(&z, Z_NO_FLUSH);
-    if (status != Z_OK) break;
-  }
-  const std::size_t made = size - z.avail_out;
-  ::inflateEnd(&z);
-  if (status == Z_MEM_ERROR) throw std::bad_alloc();
-  if (status != Z_OK && status != Z_STREAM_END && status != Z_BUF_ERROR)
-    damaged("is damaged: its compressed data has an error");
-  if (made < size)
-    damaged("is truncated: " + std::to_string(made) + " of " + std::to_string(size) + " bytes of pixels are there");
-  return out;
-}
-
-// Decodes the filtered rows of one pass that start at raw[at], front to back, and hands each to `row_done(y, row)`.
-// Rows are decoded where they lie; `at` moves behind the pass.
-template <class RowDone>
-void unfilter_pass(const PngHeader& h, std::uint32_t width, std::uint32_t height, std::vector<std::uint8_t>& raw,
-                   std::size_t& at, RowDone&& row_done) {
-  const std::size_t bytes = row_bytes(h, width);
-  const std::size_t pixel_bytes = std::max<std::size_t>(1, static_cast<std::size_t>(h.channels() * h.bits) / 8);
-  const std::vector<std::uint8_t> zeros(bytes);
-  const std::uint8_t* up = zeros.data();
-  for (std::uint32_t y = 0; y < height; ++y, at += bytes + 1) {
-    if (raw[at] > 4) damaged("is damaged: unknown row filter " + std::to_string(raw[at]));
-    std::uint8_t* row = raw.data() + at + 1;
-    unfilter(raw[at], row, up, bytes, pixel_bytes);
-    up = row;
-    row_done(y, row);
-  }
-}
-
-// Whole rows of 8-bit samples: the inflated buffer itself becomes the pixels, each row moved over the filter bytes
-// before it as soon as the row below no longer needs it.
-void unpack_bytes(const PngHeader& h, std::vector<std::uint8_t>& raw, PngImage& image) {
-  const std::size_t bytes = row_bytes(h, h.width);
-  std::size_t at = 0;
-  unfilter_pass(h, h.width, h.height, raw, at, [&](std::uint32_t y, const std::uint8_t*) {
-    if (y > 0) std::memmove(raw.data() + (y - 1) * bytes, raw.data() + (y - 1) * (bytes + 1) + 1, bytes);
-  });
-  const std::size_t last = h.height - 1;
-  std::memmove(raw.data() + last * bytes, raw.data() + last * (bytes + 1) + 1, bytes);
-  raw.resize(bytes * h.height);
-  image.bytes = std::move(raw);
-}
-
-// Every other format: sample by sample.
-template <class T>
-void unpack_samples(const PngHeader& h, std::vector<std::uint8_t>& raw, std::vector<T>& samples) {
-  const auto channels = static_cast<std::size_t>(h.channels());
-  samples.resize(std::size_t{h.width} * h.height * channels);
-  std::size_t at = 0;
-  for (const Pass& pass : passes_of(h)) {
-    const std::uint32_t width = steps(h.width, pass.x0, pass.dx), height = steps(h.height, pass.y0, pass.dy);
-    if (width == 0 || height == 0) continue;
-    unfilter_pass(h, width, height, raw, at, [&](std::uint32_t y, const std::uint8_t* row) {
-      T* line = samples.data() + std::size_t{pass.y0 + y * pass.dy} * h.width * channels;
-      for (std::uint32_t x = 0; x < width; ++x) {
-        T* pixel = line + std::size_t{pass.x0 + x * pass.dx} * channels;
-        for (std::size_t c = 0; c < channels; ++c) pixel[c] = static_cast<T>(sample_at(row, x * channels + c, h.bits));
-      }
-    });
-  }
+  const bool whole = read_samples(png, info, file, rows.data());
+  png_destroy_read_struct(&png, &info, nullptr);
+  if (whole) return;
+  if (std::strstr(fault.data(), "memory") != nullptr) throw std::bad_alloc();
+  damaged(std::string("is damaged: ") + fault.data());
 }
 
 void put32(std::vector<std::uint8_t>& out, std::uint32_t value) {
@@ -286,28 +183,27 @@ PngImage decode_png(std::span<const std::byte> bytes) {
   image.channels = h.channels();
   image.bits = h.bits;
   image.palette = h.color_type == 3;
-  std::vector<std::span<const std::uint8_t>> parts;
+  std::size_t packed = 0;
   for (;;) {
     const Chunk chunk = next_chunk(file, at);
     if (chunk.type == "IEND") break;
-    if (chunk.type == "IDAT") parts.push_back(chunk.data);
+    if (chunk.type == "IDAT") packed += chunk.data.size();
     if (chunk.type == "PLTE") image.palette_rgb.assign(chunk.data.begin(), chunk.data.end());
     if (chunk.type == "tRNS" && image.palette) image.palette_alpha.assign(chunk.data.begin(), chunk.data.end());
   }
   if (image.palette && (image.palette_rgb.empty() || image.palette_rgb.size() % 3 != 0))
     damaged("is damaged: its palette is missing");
-  std::size_t size = 0;
-  for (const Pass& p : passes_of(h)) {
-    const std::uint32_t w = steps(h.width, p.x0, p.dx);
-    if (w > 0) size += (row_bytes(h, w) + 1) * steps(h.height, p.y0, p.dy);
-  }
-  std::vector<std::uint8_t> raw = inflate_data(parts, size);
+  // Deflate expands at most 1,032-fold: a header that promises more lies, and nothing is allocated for it.
+  if (const std::size_t size = row_bytes(h) * h.height; packed < size / 1032)
+    damaged("is truncated: " + std::to_string(packed) + " bytes of data cannot hold " + std::to_string(size) +
+            " bytes of pixels");
+  const std::size_t samples = std::size_t{h.width} * h.height * static_cast<std::size_t>(h.channels());
   if (h.bits == 16) {
-    unpack_samples(h, raw, image.words);
-  } else if (h.bits == 8 && h.interlace == 0) {
-    unpack_bytes(h, raw, image);
+    image.words.resize(samples);
+    decode_samples(file, h, image.words.data());
   } else {
-    unpack_samples(h, raw, image.bytes);
+    image.bytes.resize(samples);
+    decode_samples(file, h, image.bytes.data());
   }
   return image;
 }
@@ -316,7 +212,7 @@ std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, in
                                      std::span<const std::uint8_t> rows, const PngPalette& palette, int level) {
   check_image_limits(width, height);
   const PngHeader h{static_cast<std::uint32_t>(width), static_cast<std::uint32_t>(height), bits, color_type, 0};
-  const std::size_t bytes = row_bytes(h, h.width);
+  const std::size_t bytes = row_bytes(h);
   SEMFIELD_CHECK(rows.size() == bytes * h.height, "PNG rows do not match the size");
   SEMFIELD_CHECK(color_type != 3 || (!palette.rgb.empty() && palette.rgb.size() % 3 == 0 && palette.rgb.size() <= 768 &&
                                      3 * palette.alpha.size() <= palette.rgb.size()),

@@ -1,6 +1,6 @@
-// Images in and out. PNG goes through our own codec, so that palette indices and damage are seen as they are; other
-// formats are read by OpenImageIO (ImageFormats). A build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads
-// and writes PNG, and throws Error(unavailable) for every other format.
+// Images in and out. PNG goes through libpng's lower half, so that palette indices and damage are seen as they are;
+// other formats are read by OpenImageIO (ImageFormats). A build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still
+// reads and writes PNG, and throws Error(unavailable) for every other format.
 #pragma once
 
 #include <cstddef>
@@ -142,7 +142,7 @@ std::vector<T> as_stored(std::vector<T> shown, std::int64_t width, std::int64_t 
   return out;
 }
 
-// PNG in and out through zlib alone: palette indices and 16-bit values stay as they are, and damage is named.
+// PNG in and out: palette indices and 16-bit values stay as they are, and damage is named.
 
 /// Samples as stored: grey, grey + alpha, RGB, RGBA, or palette index.
 struct PngImage {
