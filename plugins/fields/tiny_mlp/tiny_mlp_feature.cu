@@ -12,11 +12,31 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kBlockRows = kThreads / kWarp * kTileRows;
 
+/// The hidden layers' tensors [in, out], [1, out], or their gradients.
+template <class T>
+struct LayersOf {
+  View<T> weight[kTinyFusedFeatureLayers], bias[kTinyFusedFeatureLayers];
+  int count = 0;
+};
+
+/// Columns of a matrix in whole groups.
+constexpr int padded_columns(int columns) { return (columns + kGroup - 1) / kGroup * kGroup; }
+
+/// Rows that the layers read, rounded, in whole groups of columns; the last layer's are the feature itself.
+struct Activations {
+  View<__nv_bfloat16> position;  ///< [M, .]; empty: nothing is kept
+  View<__nv_bfloat16> hidden;    ///< [layers * M, .]
+};
+
 struct Call {
   LayersOf<const float> layers;
   Activations kept;
   const std::int32_t* live = nullptr;
   std::int64_t rows = 0;
+  /// What layer l made, or dL/d(its sums), of all layers.
+  __host__ __device__ View<__nv_bfloat16> layer(View<__nv_bfloat16> of, int l) const {
+    return of.row_range(l * rows, rows);
+  }
 };
 
 /// Where a column, a multiple of 4 as the first of four, stands in its group of 16: the first two here, the others 8
@@ -70,66 +90,19 @@ struct Memory {
   __device__ float* bias(int l) const { return reinterpret_cast<float*>(of(layers)) + l * kOut * kGroup; }
 };
 
-/// A lane's four columns of each group of rows g and g + 8, in memory as columns.
 template <int kGroups>
-__device__ inline void store_kept(const Lane& lane, const Fragment (&a)[kGroups], __nv_bfloat16* rows_of, int columns,
-                                  std::int64_t row0, std::int64_t rows) {
-#pragma unroll
-  for (int half = 0; half < 2; ++half) {
-    const std::int64_t row = row0 + lane.g + 8 * half;
-    if (row >= rows) continue;
-#pragma unroll
-    for (int k = 0; k < kGroups; ++k) {
-      if (k * kGroup >= columns) break;
-      *reinterpret_cast<uint2*>(rows_of + row * columns + k * kGroup + 4 * lane.q) = {a[k].reg[half],
-                                                                                      a[k].reg[2 + half]};
-    }
-  }
-}
-template <int kGroups>
-__device__ inline void load_kept(const Lane& lane, const __nv_bfloat16* rows_of, int columns, std::int64_t row0,
-                                 std::int64_t rows, Fragment (&a)[kGroups]) {
+__device__ inline void load_kept(const Lane& lane, View<__nv_bfloat16> from, std::int64_t row0, std::int64_t rows,
+                                 Fragment (&a)[kGroups]) {
 #pragma unroll
   for (int half = 0; half < 2; ++half) {
     const std::int64_t row = row0 + lane.g + 8 * half;
 #pragma unroll
     for (int k = 0; k < kGroups; ++k) {
       uint2 both{0, 0};
-      if (row < rows && k * kGroup < columns)
-        both = *reinterpret_cast<const uint2*>(rows_of + row * columns + k * kGroup + 4 * lane.q);
+      if (row < rows && k * kGroup < from.cols)
+        both = *reinterpret_cast<const uint2*>(from.row(row) + k * kGroup + 4 * lane.q);
       a[k].reg[half] = both.x;
       a[k].reg[2 + half] = both.y;
-    }
-  }
-}
-template <int kGroups>
-__device__ inline void load_rows(const Lane& lane, View<const float> from, std::int64_t row0, std::int64_t rows,
-                                 bool vector, Sums (&to)[2 * kGroups]) {
-#pragma unroll
-  for (int half = 0; half < 2; ++half) {
-    const std::int64_t row = row0 + lane.g + 8 * half;
-#pragma unroll
-    for (int k = 0; k < kGroups; ++k) {
-      const float4 v = row < rows ? load_four(from, row, k * kGroup + 4 * lane.q, vector) : float4{0, 0, 0, 0};
-      to[2 * k].value[2 * half] = v.x;
-      to[2 * k].value[2 * half + 1] = v.y;
-      to[2 * k + 1].value[2 * half] = v.z;
-      to[2 * k + 1].value[2 * half + 1] = v.w;
-    }
-  }
-}
-template <int kGroups>
-__device__ inline void store_rows(const Lane& lane, const Sums (&from)[2 * kGroups], std::int64_t row0,
-                                  std::int64_t rows, bool vector, View<float> to) {
-#pragma unroll
-  for (int half = 0; half < 2; ++half) {
-    const std::int64_t row = row0 + lane.g + 8 * half;
-    if (row >= rows) continue;
-#pragma unroll
-    for (int k = 0; k < kGroups; ++k) {
-      const Sums &low = from[2 * k], &high = from[2 * k + 1];
-      store_four(to, row, k * kGroup + 4 * lane.q, vector,
-                 {low.value[2 * half], low.value[2 * half + 1], high.value[2 * half], high.value[2 * half + 1]});
     }
   }
 }
@@ -171,15 +144,14 @@ __global__ void __launch_bounds__(kThreads, 1)
         load_rows<kIn>(lane, position, row0, rows, vector_in, loaded);
         pack_all(loaded, x);
       }
-      if (call.kept.position != nullptr)
-        store_kept(lane, x, call.kept.position, call.kept.position_columns, row0, rows);
+      if (!call.kept.position.empty()) store_rows(lane, x, row0, rows, call.kept.position);
       start(lane, memory.bias(0), y);
       forward_product<M::kPitch>(lane, x, memory.of(0), y);
     }
     for (int l = 0;; ++l) {
       relu(y);
       pack_all(y, h);
-      if (call.kept.position != nullptr) store_kept(lane, h, call.kept.layer(l), call.kept.width, row0, rows);
+      if (!call.kept.position.empty()) store_rows(lane, h, row0, rows, call.layer(call.kept.hidden, l));
       if (l + 1 == memory.layers) break;
       start(lane, memory.bias(l + 1), y);
       forward_product<M::kPitch>(lane, h, memory.of(l + 1), y);
@@ -189,11 +161,12 @@ __global__ void __launch_bounds__(kThreads, 1)
   clear_rows(feature, rows, thread.number, thread.count);
 }
 
-/// The gradient before each layer's ReLU into dz, as Activations::hidden, and of the position: 4 W + 2 L W in and 2 L W
+/// The gradient before each layer's ReLU into all_dz, as Activations::hidden, and of the position: 4 W + 2 L W in and 2
+/// L W
 /// (+ 4 D) out a row.
 template <int kIn, int kOut>
 __global__ void __launch_bounds__(kThreads, 1)
-    backward_kernel(const Call call, View<const float> d_feature, Activations dz_of, View<float> d_position,
+    backward_kernel(const Call call, View<const float> d_feature, View<__nv_bfloat16> all_dz, View<float> d_position,
                     bool vector_in, bool vector_out) {
   extern __shared__ __align__(16) unsigned char shared_memory[];
   using M = Memory<kIn, kOut>;
@@ -211,9 +184,9 @@ __global__ void __launch_bounds__(kThreads, 1)
     Fragment h[kOut], dz[kOut];
     load_rows<kOut>(lane, d_feature, row0, rows, vector_in, dy);
     for (int l = memory.layers - 1;; --l) {
-      load_kept(lane, call.kept.layer(l), call.kept.width, row0, rows, h);
+      load_kept(lane, call.layer(call.kept.hidden, l), row0, rows, h);
       mask_and_pack(dy, h, dz);
-      store_kept(lane, dz, dz_of.layer(l), dz_of.width, row0, rows);
+      store_rows(lane, dz, row0, rows, call.layer(all_dz, l));
       if (l == 0) break;
       clear(dy);
       backward_product<M::kPitch>(lane, dz, memory.of(l), dy);
@@ -248,13 +221,11 @@ LayersOf<T> layers_of(const TinyMlpShape& s, const ViewOf& view) {
 }
 
 Activations activations(const TinyMlpShape& s, std::int64_t rows, std::byte* memory) {
-  Activations a;
-  a.rows = rows;
-  a.position_columns = padded_columns(s.position_dims);
-  a.width = padded_columns(s.hidden_width);
-  a.position = reinterpret_cast<__nv_bfloat16*>(memory);
-  if (memory != nullptr) a.hidden = a.position + rows * a.position_columns;
-  return a;
+  const int columns = padded_columns(s.position_dims);
+  auto* const first = reinterpret_cast<__nv_bfloat16*>(memory);
+  if (memory == nullptr) return {};
+  return {{first, rows, columns},
+          {first + rows * columns, rows * static_cast<std::int64_t>(s.hidden.size()), padded_columns(s.hidden_width)}};
 }
 
 Call call_of(const TinyMlpShape& s, const Tensors<float>& t, std::int64_t rows, Saved saved) {
@@ -266,6 +237,166 @@ Call call_of(const TinyMlpShape& s, const Tensors<float>& t, std::int64_t rows, 
 template <int kIn, int kOut>
 unsigned blocks_for(const void* kernel, int layers, std::int64_t rows) {
   return std::min(resident_blocks(kernel, kThreads, Memory<kIn, kOut>::bytes(layers)), blocks_of(rows, kBlockRows));
+}
+
+// Weight gradients of the hidden layers from what forward kept and the gradients before each ReLU.
+
+constexpr int kWeightThreads = 128;
+constexpr int kTile = 64;  // rows, inputs and outputs that a block takes at a time
+constexpr int kTilePitch = pitch_of(kTile);
+constexpr int kChunk = 8;                                        // numbers of 16 bytes
+constexpr int kLoads = kTile * kTile / kChunk / kWeightThreads;  // of a thread
+constexpr std::int64_t kFewestRows = 128, kMostRanges = 128;
+
+/// Everything a block has to know: the layers' gradients, their operands, and where partial sums lie.
+struct WeightCall {
+  LayersOf<float> d;
+  Call from;
+  View<__nv_bfloat16> dz;
+  std::int64_t rows_a_range = 0;
+  std::int64_t start[kTinyFusedFeatureLayers + 1] = {};  // of a layer within the partial sums of a range: [in + 1, out]
+  float* partial = nullptr;
+};
+
+/// One layer as a block of the grid sees it.
+struct Place {
+  int layer = 0, in0 = 0, out0 = 0;
+};
+constexpr int tiles_of(int numbers) { return (numbers + kTile - 1) / kTile; }
+/// Tiles are numbered layer by layer; the number behind the last is their count.
+__host__ __device__ inline Place place_of(const LayersOf<float>& d, int tile) {
+  for (int l = 0; l < d.count; ++l) {
+    const int across = tiles_of(d.weight[l].cols), all = tiles_of(static_cast<int>(d.weight[l].rows)) * across;
+    if (tile < all) return {l, tile / across * kTile, tile % across * kTile};
+    tile -= all;
+  }
+  return {d.count, 0, 0};
+}
+
+/// 64 rows of 64 columns of a matrix without gaps on their way to shared memory; what lies outside is 0.
+struct Fetched {
+  uint4 chunk[kLoads];
+  __device__ void load(View<__nv_bfloat16> from, int col0, std::int64_t row0, std::int64_t end) {
+#pragma unroll
+    for (int i = 0; i < kLoads; ++i) {
+      const int number = static_cast<int>(threadIdx.x) + i * kWeightThreads,
+                col = col0 + number % (kTile / kChunk) * kChunk;
+      const std::int64_t row = row0 + number / (kTile / kChunk);
+      chunk[i] = row < end && col < from.cols ? *reinterpret_cast<const uint4*>(from.data + row * from.cols + col)
+                                              : uint4{0, 0, 0, 0};
+    }
+  }
+  __device__ void store(__nv_bfloat16* to) const {
+#pragma unroll
+    for (int i = 0; i < kLoads; ++i) {
+      const int number = static_cast<int>(threadIdx.x) + i * kWeightThreads;
+      *reinterpret_cast<uint4*>(to + number / (kTile / kChunk) * kTilePitch + number % (kTile / kChunk) * kChunk) =
+          chunk[i];
+    }
+  }
+};
+
+/// Block (range, tile): the sums over a range of rows of 64 inputs and 64 outputs of a layer; warp w has inputs
+/// 32 (w % 2) .. and outputs 32 (w / 2) .. of them. 256 bytes per row.
+__global__ void __launch_bounds__(kWeightThreads, 4) partial_kernel(const WeightCall call) {
+  __shared__ __align__(16) __nv_bfloat16 x_tile[kTile * kTilePitch], dz_tile[kTile * kTilePitch];
+  const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * call.rows_a_range;
+  const std::int64_t rows = live_count(call.from.live, call.from.rows);
+  const std::int64_t end = first + call.rows_a_range < rows ? first + call.rows_a_range : rows;
+  if (first >= end) return;
+  const Place place = place_of(call.d, static_cast<int>(blockIdx.y));
+  const int lane_number = static_cast<int>(threadIdx.x) % kWarp, warp = static_cast<int>(threadIdx.x) / kWarp;
+  const Lane lane(lane_number);
+  const int in = warp % 2 * 32, out = warp / 2 * 32;
+  const Activations& kept = call.from.kept;
+  const View<__nv_bfloat16> x = place.layer == 0 ? kept.position : call.from.layer(kept.hidden, place.layer - 1);
+  const View<__nv_bfloat16> dz = call.from.layer(call.dz, place.layer);
+
+  Sums sums[2][4];
+  clear(sums[0]);
+  clear(sums[1]);
+  float bias[2] = {};
+  Fetched next_x, next_dz;
+  next_x.load(x, place.in0, first, end);
+  next_dz.load(dz, place.out0, first, end);
+  for (std::int64_t row0 = first; row0 < end; row0 += kTile) {
+    __syncthreads();
+    next_x.store(x_tile);
+    next_dz.store(dz_tile);
+    __syncthreads();
+    if (row0 + kTile < end) {  // on their way while this tile is summed
+      next_x.load(x, place.in0, row0 + kTile, end);
+      next_dz.load(dz, place.out0, row0 + kTile, end);
+    }
+#pragma unroll
+    for (int row = 0; row < kTile; row += kGroup)
+      add_square<kTilePitch>(lane, warp, x_tile, in, dz_tile, out, row, sums, bias);
+  }
+
+  const View<float> weight = call.d.weight[place.layer];
+  const auto ins = static_cast<int>(weight.rows), outs = weight.cols;
+  float* const to =
+      call.partial + static_cast<std::int64_t>(blockIdx.x) * call.start[call.d.count] + call.start[place.layer];
+#pragma unroll
+  for (int m = 0; m < 2; ++m) {
+#pragma unroll
+    for (int n = 0; n < 4; ++n) {
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        const int row = place.in0 + in + m * kGroup + lane.g + 8 * (i / 2);
+        const int col = place.out0 + out + n * 8 + 2 * lane.q + i % 2;
+        if (row < ins && col < outs) to[row * outs + col] = sums[m][n].value[i];
+      }
+    }
+  }
+#pragma unroll
+  for (int n = 0; n < 2; ++n) {  // lanes with the same g hold rows of the same column
+    float sum = bias[n];
+    sum += __shfl_xor_sync(kFullMask, sum, 1);
+    sum += __shfl_xor_sync(kFullMask, sum, 2);
+    const int col = place.out0 + out + warp % 2 * kGroup + n * 8 + lane.g;
+    if (place.in0 == 0 && lane.q == 0 && col < outs) to[ins * outs + col] = sum;
+  }
+}
+
+/// Gradients += sums of the ranges in use, in their order.
+__global__ void __launch_bounds__(kSumColumns* kSumSegments) sum_kernel(const WeightCall call) {
+  const std::int64_t element = static_cast<std::int64_t>(blockIdx.x) * kSumColumns + threadIdx.x;
+  const std::int64_t rows = live_count(call.from.live, call.from.rows);
+  const auto ranges = static_cast<int>((rows + call.rows_a_range - 1) / call.rows_a_range);
+  const float sum = sum_of_partials(call.partial, ranges, call.start[call.d.count], element);
+  if (threadIdx.y != 0 || element >= call.start[call.d.count]) return;
+  int l = 0;
+  while (element >= call.start[l + 1]) ++l;
+  const View<float> weight = call.d.weight[l];
+  const std::int64_t in = (element - call.start[l]) / weight.cols;
+  const auto out = static_cast<std::int32_t>((element - call.start[l]) % weight.cols);
+  if (in < weight.rows) {
+    call.d.weight[l](in, out) += sum;
+  } else {
+    call.d.bias[l](0, out) += sum;
+  }
+}
+
+/// d_weight += x^T dz and d_bias += column sums of dz for every layer, over the rows before *live. Sums over fixed
+/// ranges of rows are added in order: same bits in every run.
+void weight_gradients(const LayersOf<float>& d, const Call& from, View<__nv_bfloat16> dz, Workspace& arena) {
+  WeightCall call{d, from, dz};
+  call.rows_a_range = std::max(kFewestRows, (from.rows + kMostRanges - 1) / kMostRanges);
+  int tiles = 0;
+  for (int l = 0; l < d.count; ++l) {
+    const View<float>& weight = d.weight[l];
+    call.start[l + 1] = call.start[l] + (weight.rows + 1) * weight.cols;
+    tiles += tiles_of(static_cast<int>(weight.rows)) * tiles_of(weight.cols);
+  }
+  const std::int64_t ranges = (from.rows + call.rows_a_range - 1) / call.rows_a_range;
+  call.partial = arena.take<float>(ranges, static_cast<std::int32_t>(call.start[d.count])).data;
+  partial_kernel<<<dim3(static_cast<unsigned>(ranges), static_cast<unsigned>(tiles)), kWeightThreads, 0,
+                   launch().stream>>>(call);
+  check_launch("small network: weight gradients of a feature");
+  sum_kernel<<<blocks_of(call.start[d.count], kSumColumns), dim3(kSumColumns, kSumSegments), 0, launch().stream>>>(
+      call);
+  check_launch("small network: sum of the ranges");
 }
 
 }  // namespace
@@ -303,9 +434,7 @@ void feature_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<flo
   SEMFIELD_CHECK(!saved.empty(), "a gradient of the feature needs what forward saved");
   const Workspace::Scope scope(arena);
   const Call call = call_of(s, t, d_feature.rows, saved);
-  Activations dz = call.kept;
-  const std::int64_t numbers = dz.rows * dz.width * call.layers.count;
-  dz.hidden = arena.take<__nv_bfloat16>(numbers, 1).data;
+  const auto dz = arena.take<__nv_bfloat16>(call.kept.hidden.rows, call.kept.hidden.cols);
   with_widths(s, [&]<int kIn, int kOut>() {
     const auto kernel = backward_kernel<kIn, kOut>;
     const unsigned blocks =
@@ -315,171 +444,7 @@ void feature_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<flo
     check_launch("small network: backward of a feature");
   });
   const auto d = layers_of<float>(s, [&](int index) { return t.grad[static_cast<std::size_t>(index)]; });
-  feature_weight_gradients(d, call.kept, dz.hidden, call.live, arena);
-}
-
-// Weight gradients of the hidden layers from what forward kept and the gradients before each ReLU.
-
-namespace {
-
-constexpr int kWeightThreads = 128;
-constexpr int kTile = 64;  // rows, inputs and outputs that a block takes at a time
-constexpr int kTilePitch = pitch_of(kTile);
-constexpr int kChunk = 8;                                        // numbers of 16 bytes
-constexpr int kLoads = kTile * kTile / kChunk / kWeightThreads;  // of a thread
-constexpr std::int64_t kFewestRows = 128, kMostRanges = 128;
-
-/// Everything a block has to know: the layers' gradients, their operands, and where partial sums lie.
-struct WeightCall {
-  LayersOf<float> d;
-  Activations x;
-  const __nv_bfloat16* dz = nullptr;
-  const std::int32_t* live = nullptr;
-  std::int64_t rows_a_range = 0;
-  std::int64_t start[kTinyFusedFeatureLayers + 1] = {};  // of a layer within the partial sums of a range: [in + 1, out]
-  float* partial = nullptr;
-};
-
-/// One layer as a block of the grid sees it.
-struct Place {
-  int layer = 0, in0 = 0, out0 = 0;
-};
-constexpr int tiles_of(int numbers) { return (numbers + kTile - 1) / kTile; }
-/// Tiles are numbered layer by layer; the number behind the last is their count.
-__host__ __device__ inline Place place_of(const LayersOf<float>& d, int tile) {
-  for (int l = 0; l < d.count; ++l) {
-    const int across = tiles_of(d.weight[l].cols), all = tiles_of(static_cast<int>(d.weight[l].rows)) * across;
-    if (tile < all) return {l, tile / across * kTile, tile % across * kTile};
-    tile -= all;
-  }
-  return {d.count, 0, 0};
-}
-
-/// 64 rows of 64 columns on their way to shared memory; what lies outside is 0.
-struct Fetched {
-  uint4 chunk[kLoads];
-  __device__ void load(const __nv_bfloat16* from, int columns, int col0, std::int64_t row0, std::int64_t end) {
-#pragma unroll
-    for (int i = 0; i < kLoads; ++i) {
-      const int number = static_cast<int>(threadIdx.x) + i * kWeightThreads,
-                col = col0 + number % (kTile / kChunk) * kChunk;
-      const std::int64_t row = row0 + number / (kTile / kChunk);
-      chunk[i] =
-          row < end && col < columns ? *reinterpret_cast<const uint4*>(from + row * columns + col) : uint4{0, 0, 0, 0};
-    }
-  }
-  __device__ void store(__nv_bfloat16* to) const {
-#pragma unroll
-    for (int i = 0; i < kLoads; ++i) {
-      const int number = static_cast<int>(threadIdx.x) + i * kWeightThreads;
-      *reinterpret_cast<uint4*>(to + number / (kTile / kChunk) * kTilePitch + number % (kTile / kChunk) * kChunk) =
-          chunk[i];
-    }
-  }
-};
-
-/// Block (range, tile): the sums over a range of rows of 64 inputs and 64 outputs of a layer; warp w has inputs
-/// 32 (w % 2) .. and outputs 32 (w / 2) .. of them. 256 bytes per row.
-__global__ void __launch_bounds__(kWeightThreads) partial_kernel(const WeightCall call) {
-  __shared__ __align__(16) __nv_bfloat16 x_tile[kTile * kTilePitch], dz_tile[kTile * kTilePitch];
-  const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * call.rows_a_range;
-  const std::int64_t rows = live_count(call.live, call.x.rows);
-  const std::int64_t end = first + call.rows_a_range < rows ? first + call.rows_a_range : rows;
-  if (first >= end) return;
-  const Place place = place_of(call.d, static_cast<int>(blockIdx.y));
-  const int lane_number = static_cast<int>(threadIdx.x) % kWarp, warp = static_cast<int>(threadIdx.x) / kWarp;
-  const Lane lane(lane_number);
-  const int in = warp % 2 * 32, out = warp / 2 * 32;
-  const int in_columns = place.layer == 0 ? call.x.position_columns : call.x.width;
-  const __nv_bfloat16* const x = place.layer == 0 ? call.x.position : call.x.layer(place.layer - 1);
-  const __nv_bfloat16* const dz = call.dz + place.layer * call.x.rows * call.x.width;
-
-  Sums sums[2][4];
-  clear(sums[0]);
-  clear(sums[1]);
-  float bias[2] = {};
-  Fetched next_x, next_dz;
-  next_x.load(x, in_columns, place.in0, first, end);
-  next_dz.load(dz, call.x.width, place.out0, first, end);
-  for (std::int64_t row0 = first; row0 < end; row0 += kTile) {
-    __syncthreads();
-    next_x.store(x_tile);
-    next_dz.store(dz_tile);
-    __syncthreads();
-    if (row0 + kTile < end) {  // on their way while this tile is summed
-      next_x.load(x, in_columns, place.in0, row0 + kTile, end);
-      next_dz.load(dz, call.x.width, place.out0, row0 + kTile, end);
-    }
-#pragma unroll
-    for (int row = 0; row < kTile; row += kGroup)
-      add_square<kTilePitch>(lane, warp, x_tile, in, dz_tile, out, row, sums, bias);
-  }
-
-  const View<float> weight = call.d.weight[place.layer];
-  const auto ins = static_cast<int>(weight.rows), outs = weight.cols;
-  float* const to =
-      call.partial + static_cast<std::int64_t>(blockIdx.x) * call.start[call.d.count] + call.start[place.layer];
-#pragma unroll
-  for (int m = 0; m < 2; ++m) {
-#pragma unroll
-    for (int n = 0; n < 4; ++n) {
-#pragma unroll
-      for (int i = 0; i < 4; ++i) {
-        const int row = place.in0 + in + m * kGroup + lane.g + 8 * (i / 2);
-        const int col = place.out0 + out + n * 8 + 2 * lane.q + i % 2;
-        if (row < ins && col < outs) to[row * outs + col] = sums[m][n].value[i];
-      }
-    }
-  }
-#pragma unroll
-  for (int n = 0; n < 2; ++n) {  // lanes with the same g hold rows of the same column
-    float sum = bias[n];
-    sum += __shfl_xor_sync(kFullMask, sum, 1);
-    sum += __shfl_xor_sync(kFullMask, sum, 2);
-    const int col = place.out0 + out + warp % 2 * kGroup + n * 8 + lane.g;
-    if (place.in0 == 0 && lane.q == 0 && col < outs) to[ins * outs + col] = sum;
-  }
-}
-
-/// Gradients += sums of the ranges in use, in their order.
-__global__ void __launch_bounds__(kSumColumns* kSumSegments) sum_kernel(const WeightCall call) {
-  const std::int64_t element = static_cast<std::int64_t>(blockIdx.x) * kSumColumns + threadIdx.x;
-  const std::int64_t rows = live_count(call.live, call.x.rows);
-  const auto ranges = static_cast<int>((rows + call.rows_a_range - 1) / call.rows_a_range);
-  const float sum = sum_of_partials(call.partial, ranges, call.start[call.d.count], element);
-  if (threadIdx.y != 0 || element >= call.start[call.d.count]) return;
-  int l = 0;
-  while (element >= call.start[l + 1]) ++l;
-  const View<float> weight = call.d.weight[l];
-  const std::int64_t in = (element - call.start[l]) / weight.cols;
-  const auto out = static_cast<std::int32_t>((element - call.start[l]) % weight.cols);
-  if (in < weight.rows) {
-    call.d.weight[l](in, out) += sum;
-  } else {
-    call.d.bias[l](0, out) += sum;
-  }
-}
-
-}  // namespace
-
-void feature_weight_gradients(const LayersOf<float>& d, const Activations& x, const __nv_bfloat16* dz,
-                              const std::int32_t* live, Workspace& arena) {
-  WeightCall call{d, x, dz, live};
-  call.rows_a_range = std::max(kFewestRows, (x.rows + kMostRanges - 1) / kMostRanges);
-  int tiles = 0;
-  for (int l = 0; l < d.count; ++l) {
-    const View<float>& weight = d.weight[l];
-    call.start[l + 1] = call.start[l] + (weight.rows + 1) * weight.cols;
-    tiles += tiles_of(static_cast<int>(weight.rows)) * tiles_of(weight.cols);
-  }
-  const std::int64_t ranges = (x.rows + call.rows_a_range - 1) / call.rows_a_range;
-  call.partial = arena.take<float>(ranges, static_cast<std::int32_t>(call.start[d.count])).data;
-  partial_kernel<<<dim3(static_cast<unsigned>(ranges), static_cast<unsigned>(tiles)), kWeightThreads, 0,
-                   launch().stream>>>(call);
-  check_launch("small network: weight gradients of a feature");
-  sum_kernel<<<blocks_of(call.start[d.count], kSumColumns), dim3(kSumColumns, kSumSegments), 0, launch().stream>>>(
-      call);
-  check_launch("small network: sum of the ranges");
+  weight_gradients(d, call, dz, arena);
 }
 
 }  // namespace semfield::cuda::tiny

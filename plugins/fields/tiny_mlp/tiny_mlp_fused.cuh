@@ -240,6 +240,55 @@ __device__ inline Fragment pack(const float4& row, const float4& row_8) {
   return {{pack(row.x, row.y), pack(row_8.x, row_8.y), pack(row.z, row.w), pack(row_8.z, row_8.w)}};
 }
 
+/// A lane's four columns of each group of rows g and g + 8 from `row0` on, in memory as columns, where they lie before
+/// row `rows` and the view's last group: rounded,
+template <int kGroups>
+__device__ inline void store_rows(const Lane& lane, const Fragment (&a)[kGroups], std::int64_t row0, std::int64_t rows,
+                                  View<__nv_bfloat16> to) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+    if (row >= rows) continue;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      if (k * kGroup >= to.cols) break;
+      *reinterpret_cast<uint2*>(to.row(row) + k * kGroup + 4 * lane.q) = {a[k].reg[half], a[k].reg[2 + half]};
+    }
+  }
+}
+/// and in fp32; what is read elsewhere is 0. `vector` as in load_four.
+template <int kGroups>
+__device__ inline void store_rows(const Lane& lane, const Sums (&from)[2 * kGroups], std::int64_t row0,
+                                  std::int64_t rows, bool vector, View<float> to) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+    if (row >= rows) continue;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      const Sums &low = from[2 * k], &high = from[2 * k + 1];
+      store_four(to, row, k * kGroup + 4 * lane.q, vector,
+                 {low.value[2 * half], low.value[2 * half + 1], high.value[2 * half], high.value[2 * half + 1]});
+    }
+  }
+}
+template <int kGroups>
+__device__ inline void load_rows(const Lane& lane, View<const float> from, std::int64_t row0, std::int64_t rows,
+                                 bool vector, Sums (&to)[2 * kGroups]) {
+#pragma unroll
+  for (int half = 0; half < 2; ++half) {
+    const std::int64_t row = row0 + lane.g + 8 * half;
+#pragma unroll
+    for (int k = 0; k < kGroups; ++k) {
+      const float4 v = row < rows ? load_four(from, row, k * kGroup + 4 * lane.q, vector) : float4{0, 0, 0, 0};
+      to[2 * k].value[2 * half] = v.x;
+      to[2 * k].value[2 * half + 1] = v.y;
+      to[2 * k + 1].value[2 * half] = v.z;
+      to[2 * k + 1].value[2 * half + 1] = v.w;
+    }
+  }
+}
+
 /// The network in shared memory: weights in bf16, rows and columns at their positions; biases in fp32. The first colour
 /// layer reads [1, geometry features, direction]: the slot of sigma holds a one, whose weights are 0 and whose weight
 /// gradient is the bias gradient.
@@ -641,29 +690,5 @@ void feature_forward(const TinyMlpShape& shape, const Tensors<float>& tensors, V
 /// What forward saved of the same rows -> gradients of the tensors and, where it is not empty, of the position.
 void feature_backward(const TinyMlpShape& shape, Workspace& arena, const Tensors<float>& tensors,
                       View<const float> d_feature, Saved saved, View<float> d_position);
-
-/// The hidden layers' tensors [in, out], [1, out], or their gradients.
-template <class T>
-struct LayersOf {
-  View<T> weight[kTinyFusedFeatureLayers], bias[kTinyFusedFeatureLayers];
-  int count = 0;
-};
-
-/// Columns of a matrix in whole groups.
-__host__ __device__ constexpr int padded_columns(int columns) { return (columns + kGroup - 1) / kGroup * kGroup; }
-
-/// Rows that the layers read: layer l's input [M, padded_columns], rounded, the last one the feature itself.
-struct Activations {
-  __nv_bfloat16* position = nullptr;  ///< null: nothing is kept
-  __nv_bfloat16* hidden = nullptr;    ///< [layers, M, width]
-  std::int64_t rows = 0;
-  int position_columns = 0, width = 0;
-  __host__ __device__ __nv_bfloat16* layer(int l) const { return hidden + l * rows * width; }
-};
-
-/// d_weight += x^T dz and d_bias += column sums of dz for every layer, over the rows before *live; dz as
-/// Activations::hidden. Sums over fixed ranges of rows are added in order: same bits in every run.
-void feature_weight_gradients(const LayersOf<float>& d, const Activations& x, const __nv_bfloat16* dz,
-                              const std::int32_t* live, Workspace& arena);
 
 }  // namespace semfield::cuda::tiny

@@ -64,26 +64,17 @@ __device__ inline void start_hidden_gradient(const Gradients& grad, bool hidden_
   clear(dh);
   const bool shared = !grad.shared_feature.empty();
   if (!hidden_feature || (grad.of.feature.empty() && !shared)) return;
-  if (shared && grad.shared_feature.rows < rows) rows = grad.shared_feature.rows;
+  if (!shared) return load_rows<4>(lane, grad.of.feature, row0, rows, grad.vector_feature, dh);
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
 #pragma unroll
     for (int half = 0; half < 2; ++half) {
       const std::int64_t row = row0 + lane.g + 8 * half;
       const int col = k * kGroup + 4 * lane.q;
-      if (row >= rows) continue;
-      if (shared) {
-        if (col >= grad.shared_feature.cols) continue;
-        const float2 packed = *reinterpret_cast<const float2*>(grad.shared_feature.row(row) + col);
-        dh[k].value[half] = packed.x;
-        dh[k].value[2 + half] = packed.y;
-      } else {
-        const float4 d = load_four(grad.of.feature, row, col, grad.vector_feature);
-        dh[2 * k].value[2 * half] = d.x;
-        dh[2 * k].value[2 * half + 1] = d.y;
-        dh[2 * k + 1].value[2 * half] = d.z;
-        dh[2 * k + 1].value[2 * half + 1] = d.w;
-      }
+      if (row >= rows || row >= grad.shared_feature.rows || col >= grad.shared_feature.cols) continue;
+      const float2 packed = *reinterpret_cast<const float2*>(grad.shared_feature.row(row) + col);
+      dh[k].value[half] = packed.x;
+      dh[k].value[2 + half] = packed.y;
     }
   }
 }
@@ -223,17 +214,7 @@ __global__ void __launch_bounds__(kBackwardThreads, kResident)
         Sums dx[2 * kPositionTiles];
         clear(dx);
         backward_product<kPitch>(lane, dz, weights.hidden, dx);
-#pragma unroll
-        for (int k = 0; k < kPositionTiles; ++k) {
-#pragma unroll
-          for (int half = 0; half < 2; ++half) {
-            const std::int64_t row = row0 + lane.g + 8 * half;
-            if (row >= all) continue;
-            const Sums &low = dx[2 * k], &high = dx[2 * k + 1];
-            store_four(grad.d_position, row, k * kGroup + 4 * lane.q, grad.vector_position,
-                       {low.value[2 * half], low.value[2 * half + 1], high.value[2 * half], high.value[2 * half + 1]});
-          }
-        }
+        store_rows<kPositionTiles>(lane, dx, row0, all, grad.vector_position, grad.d_position);
       }
     }
     inputs.load(call.in, lane, row0 + stride, rows, call.vector_position);  // on their way meanwhile

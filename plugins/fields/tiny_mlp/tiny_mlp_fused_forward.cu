@@ -61,33 +61,11 @@ __global__ void __launch_bounds__(kThreads, 3) forward_kernel(const FusedCall ca
     {
       Sums sums[8];
       weights.hidden_layer(lane, x, sums);
-      if (!out.feature.empty() && call.hidden_feature) {
-#pragma unroll
-        for (int k = 0; k < 4; ++k) {
-          const Sums &low = sums[2 * k], &high = sums[2 * k + 1];
-#pragma unroll
-          for (int half = 0; half < 2; ++half) {
-            const std::int64_t row = row0 + lane.g + 8 * half;
-            if (row >= rows) continue;
-            store_four(out.feature, row, k * kGroup + 4 * lane.q, call.vector_feature,
-                       {low.value[2 * half], low.value[2 * half + 1], high.value[2 * half], high.value[2 * half + 1]});
-          }
-        }
-      }
+      if (!out.feature.empty() && call.hidden_feature)
+        store_rows<4>(lane, sums, row0, rows, call.vector_feature, out.feature);
       pack_all(sums, h);
     }
-    if (!out.shared.empty()) {
-#pragma unroll
-      for (int k = 0; k < 4; ++k) {
-#pragma unroll
-        for (int half = 0; half < 2; ++half) {
-          const std::int64_t row = row0 + lane.g + 8 * half;
-          if (row >= rows || k * kGroup >= out.shared.cols) continue;
-          *reinterpret_cast<uint2*>(out.shared.row(row) + k * kGroup + 4 * lane.q) = {h[k].reg[half],
-                                                                                      h[k].reg[2 + half]};
-        }
-      }
-    }
+    if (!out.shared.empty()) store_rows(lane, h, row0, rows, out.shared);
     weights.geometry_layer(lane, h, geometry);
 #pragma unroll
     for (int half = 0; half < 2; ++half) {
