@@ -176,16 +176,6 @@ class PythonPart {
   Held instance_;
 };
 
-// Whole numbers or not, by what the list holds.
-template <class T>
-bool all_are(const py::list& list, const T& is) {
-  return std::all_of(list.begin(), list.end(), [&](const py::handle item) { return is(item); });
-}
-
-bool is_whole(const py::handle& value) { return py::isinstance<py::int_>(value) && !py::isinstance<py::bool_>(value); }
-
-bool is_number(const py::handle& value) { return is_whole(value) || py::isinstance<py::float_>(value); }
-
 // One of a list of names.
 struct ChoiceValue {
   int index = 0;
@@ -194,10 +184,10 @@ struct ChoiceValue {
 
 struct PythonParam {
   std::string name, help;
-  Range range;
+  Range range{};
   std::variant<bool, std::int64_t, double, std::string, ChoiceValue, std::vector<std::int64_t>, std::vector<double>,
                std::vector<std::string>>
-      value;
+      value{};
 };
 
 class PythonParams final : public PluginParams {
@@ -242,69 +232,27 @@ class PythonParams final : public PluginParams {
   std::vector<PythonParam> params_;
 };
 
-// A default that its own range refuses would be refused where nobody gave it.
-void require_in_range(const PythonParam& param, const std::string& owner) {
-  std::vector<double> numbers;
-  if (const auto* whole = std::get_if<std::int64_t>(&param.value)) numbers = {static_cast<double>(*whole)};
-  if (const auto* real = std::get_if<double>(&param.value)) numbers = {*real};
-  if (const auto* wholes = std::get_if<std::vector<std::int64_t>>(&param.value))
-    numbers.assign(wholes->begin(), wholes->end());
-  if (const auto* reals = std::get_if<std::vector<double>>(&param.value)) numbers = *reals;
-  for (const double number : numbers) {
-    if (number >= param.range.min && number <= param.range.max) continue;
-    throw Error(
-        ErrorKind::usage, "plugin.python.default",
-        owner + ": the default of '" + param.name + "' is " + shortest_number(number) + ", outside its own range");
-  }
-}
-
-// From dicts {name, help, default, low, high, choices}. Throws Error(usage) for a default of no known kind.
-std::vector<PythonParam> params_of(const py::list& declared, const std::string& owner) {
+// From dicts {name, help, default, low, high, choices}, which semfield/plugins.py has checked.
+std::vector<PythonParam> params_of(const py::list& declared) {
   std::vector<PythonParam> out;
   for (const py::handle row : declared) {
     const auto item = py::reinterpret_borrow<py::dict>(row);
-    PythonParam p;
-    p.name = item["name"].cast<std::string>();
-    p.help = item["help"].cast<std::string>();
+    PythonParam& p = out.emplace_back(PythonParam{item["name"].cast<std::string>(), item["help"].cast<std::string>()});
     if (!item["low"].is_none()) p.range.min = item["low"].cast<double>();
     if (!item["high"].is_none()) p.range.max = item["high"].cast<double>();
-    const py::object value = item["default"];
     if (!item["choices"].is_none()) {
       ChoiceValue choice{0, item["choices"].cast<std::vector<std::string>>()};
-      const auto at = std::find(choice.names.begin(), choice.names.end(), py::str(value).cast<std::string>());
-      if (at == choice.names.end())
-        throw Error(ErrorKind::usage, "plugin.python.default",
-                    owner + ": the default of '" + p.name + "' is none of its choices");
+      const auto at = std::find(choice.names.begin(), choice.names.end(), item["default"].cast<std::string>());
       choice.index = static_cast<int>(at - choice.names.begin());
       p.value = std::move(choice);
-    } else if (py::isinstance<py::bool_>(value)) {
-      p.value = value.cast<bool>();
-    } else if (is_whole(value)) {
-      p.value = value.cast<std::int64_t>();
-    } else if (py::isinstance<py::float_>(value)) {
-      p.value = value.cast<double>();
-    } else if (py::isinstance<py::str>(value)) {
-      p.value = value.cast<std::string>();
-    } else if (py::isinstance<py::list>(value) || py::isinstance<py::tuple>(value)) {
-      const py::list list(value);
-      if (!list.empty() && all_are(list, is_whole)) {
-        p.value = list.cast<std::vector<std::int64_t>>();
-      } else if (!list.empty() && all_are(list, [](const py::handle& v) { return py::isinstance<py::str>(v); })) {
-        p.value = list.cast<std::vector<std::string>>();
-      } else if (all_are(list, is_number)) {
-        p.value = list.cast<std::vector<double>>();
-      } else {
-        throw Error(ErrorKind::usage, "plugin.python.default",
-                    owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
-                    "a list has numbers alone, or texts alone");
-      }
-    } else {
-      throw Error(ErrorKind::usage, "plugin.python.default",
-                  owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
-                  "a parameter is a truth value, a number, a text, or a list of numbers or texts");
+      continue;
     }
-    require_in_range(p, owner);
-    out.push_back(std::move(p));
+    // The first that it is without a conversion: a list without numbers is one of real ones.
+    py::detail::make_caster<std::variant<bool, std::int64_t, double, std::string, std::vector<double>,
+                                         std::vector<std::int64_t>, std::vector<std::string>>>
+        plain;
+    if (!plain.load(item["default"], false)) throw py::cast_error("the default of '" + p.name + "' is too large");
+    std::visit([&p](auto& value) { p.value = std::move(value); }, *plain);
   }
   return out;
 }
@@ -678,8 +626,7 @@ void add_plugin(const py::dict& declared) {
   entry.name = declared["name"].cast<std::string>();
   entry.summary = declared["summary"].cast<std::string>();
   const auto kind = declared["kind"].cast<std::string>();
-  const std::vector<PythonParam> params =
-      params_of(declared["params"].cast<py::list>(), kind + " '" + entry.name + "'");
+  const std::vector<PythonParam> params = params_of(declared["params"].cast<py::list>());
   entry.new_params = [params] { return std::unique_ptr<PluginParams>(std::make_unique<PythonParams>(params)); };
   const Held type = hold(declared["class"]);
   if (kind == "encoder") {

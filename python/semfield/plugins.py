@@ -301,6 +301,31 @@ class Dataset(_Plugin):
         return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m, "mask": _mask(f.mask), "channels": dict(f.channels)}
 
 
+def _default(of: str, p: Mapping[str, Any]) -> Any:
+    """The default as the extension takes it. One that its own range refuses would be refused where nobody gave it."""
+    def refuse(what: str, remedy: str = "") -> None:
+        raise UsageError(f"{of} is {what}", remedy=remedy, code="plugin.python.default")
+
+    value, is_list = p["default"], isinstance(p["default"], (list, tuple))
+    if p["choices"] is not None:
+        if str(value) not in p["choices"]:
+            refuse("none of its choices")
+        return str(value)
+    items = list(value) if is_list else [value]
+    if isinstance(value, (bool, str)) or (items and all(isinstance(v, str) for v in items)):
+        return items if is_list else value
+    if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in items):
+        refuse(repr(value), "a list has numbers alone, or texts alone" if is_list else
+               "a parameter is a truth value, a number, a text, or a list of numbers or texts")
+    low, high = (-np.inf if p["low"] is None else p["low"]), (np.inf if p["high"] is None else p["high"])
+    for number in items:
+        if not low <= number <= high:
+            refuse(f"{float(number)}, outside its own range")
+    if any(isinstance(v, float) for v in items):
+        items = [float(v) for v in items]
+    return items if is_list else items[0]
+
+
 C_ = TypeVar("C_", bound=Type[_Plugin])
 
 
@@ -315,7 +340,9 @@ def _plugin(base: Type[_Plugin], name: str, summary: str) -> Callable[[C_], C_]:
         if not text:
             raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=",
                              code="plugin.python.declaration")
-        _core.add_plugin({"kind": base.__name__.lower(), "name": name, "summary": text, "class": cls, "params": cls._params()})
+        kind = base.__name__.lower()
+        params = [{**p, "default": _default(f"{kind} {name!r}: the default of {p['name']!r}", p)} for p in cls._params()]
+        _core.add_plugin({"kind": kind, "name": name, "summary": text, "class": cls, "params": params})
         return cls
 
     return add
