@@ -6,8 +6,7 @@ find_package(yaml-cpp REQUIRED)
 find_package(fmt REQUIRED)
 find_package(nlohmann_json REQUIRED)
 find_package(CLI11 REQUIRED)
-find_package(ZLIB REQUIRED)
-find_package(PNG REQUIRED)
+find_package(PNG REQUIRED)  # finds zlib as well
 if(SEMFIELD_WITH_IMAGES)
   find_package(SQLite3 REQUIRED)  # COLMAP keeps its matches in such a database
   # Debian's package configuration of OpenImageIO names command line tools of another package and stops without them, so
