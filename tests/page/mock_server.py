@@ -14,18 +14,12 @@ import time
 import urllib.parse
 import zlib
 
-# A small room of boxes and a ball, cast ray by ray: photographs, true objects and PNG files for the mock server.
-OBJECTS = ["floor", "ceiling", "wall", "wall", "sofa", "table", "cupboard", "lamp"]  # by number; two walls look different
-LOW, HIGH = (-3.0, -2.5, 0.0), (3.0, 2.5, 2.6)
-BOXES = [  # object, low corner, high corner, colour
-    (4, (-2.9, -1.2, 0.0), (-1.9, 1.2, 0.45), (118, 130, 160)),
-    (4, (-2.9, -1.2, 0.45), (-2.55, 1.2, 0.95), (108, 120, 152)),
-    (5, (-0.6, -0.5, 0.38), (0.6, 0.5, 0.46), (150, 106, 70)),
-    (5, (-0.08, -0.08, 0.0), (0.08, 0.08, 0.38), (120, 84, 56)),
-    (6, (1.2, 1.9, 0.0), (2.7, 2.45, 1.9), (176, 168, 150)),
-]
-BALL = (7, (1.9, -1.6, 1.35), 0.28, (240, 226, 180))
-SIDES = [(158, 132, 102), (228, 228, 224), (198, 190, 178), (170, 184, 178)]
+# A flat room: one long picture, of which each view shows a part. A place is a point of it, in widths and heights of a view.
+THINGS = {  # by number, each before those above it: left, top, right, bottom, colour
+    2: (-9, 0, 9, 1, (198, 190, 178)), 0: (-9, 0.7, 9, 1, (158, 132, 102)), 1: (-9, 0, 9, 0.2, (228, 228, 224)),
+    4: (0.45, 0.35, 0.85, 0.75, (118, 130, 160)), 5: (0.05, 0.6, 0.3, 0.8, (150, 106, 70)), 6: (0.95, 0.2, 1.2, 0.7, (176, 168, 150)),
+    7: (0.3, 0.2, 0.36, 0.35, (240, 226, 180)),
+}
 
 
 def png(width, height, rows, color_type, palette=None):
@@ -39,82 +33,25 @@ def png(width, height, rows, color_type, palette=None):
     return out + chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row for row in rows), 1)) + chunk(b"IEND", b"")
 
 
-def look(position, target):
-    """A camera with OpenCV axes: position and the row-major rotation world_from_camera."""
-    def unit(v):
-        length = math.sqrt(sum(x * x for x in v))
-        return [x / length for x in v]
-
-    z = unit([t - p for p, t in zip(position, target)])
-    x = unit([z[1], -z[0], 0.0])
-    y = [z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]]
-    return list(position), [v for row in zip(x, y, z) for v in row]
+def left_of(view):
+    """Where its part of the picture begins."""
+    return 0.06 * (view % 5)
 
 
-def cast(origin, direction):
-    """Object, colour and shade of what a ray from inside the room meets first."""
-    best, found = math.inf, None
-    for axis in range(3):  # the room's sides, from inside
-        if abs(direction[axis]) < 1e-9:
-            continue
-        t = ((HIGH if direction[axis] > 0 else LOW)[axis] - origin[axis]) / direction[axis]
-        if t < best:
-            which = (0 if direction[2] < 0 else 1) if axis == 2 else 2 if axis == 0 else 3
-            best, found = t, (which, SIDES[which], 0.78 + 0.22 * (axis == 2) - 0.1 * (axis == 1))
-    for which, low, high, color in BOXES:
-        near, far, side = 1e-6, best, -1
-        for axis in range(3):
-            d = direction[axis] if abs(direction[axis]) > 1e-9 else 1e-9
-            a, b = sorted(((low[axis] - origin[axis]) / d, (high[axis] - origin[axis]) / d))
-            if a > near:
-                near, side = a, axis
-            far = min(far, b)
-        if side >= 0 and near < far:
-            best, found = near, (which, color, (0.82, 0.68, 1.0)[side])
-    which, centre, radius, color = BALL
-    to = [c - o for c, o in zip(centre, origin)]
-    along = sum(a * b for a, b in zip(to, direction))
-    apart = sum(v * v for v in to) - along * along
-    if apart < radius * radius and 0 < along - math.sqrt(radius * radius - apart) < best:
-        best = along - math.sqrt(radius * radius - apart)
-        found = (which, color, 0.6 + 0.4 * math.sqrt(1 - apart / (radius * radius)))
-    return best, found
+@functools.lru_cache(maxsize=None)
+def rendered(view, width, height):
+    """(rgb rows, objects [height][width]) of a view."""
+    rows, objects = [], []
+    for j in range(height):
+        places = [(left_of(view) + (i + 0.5) / width, (j + 0.5) / height) for i in range(width)]
+        objects.append(bytes([which for which, (l, t, r, b, _) in THINGS.items() if l <= u < r and t <= v < b][-1] for u, v in places))
+        rows.append(b"".join(bytes(THINGS[which][4]) for which in objects[-1]))
+    return rows, objects
 
 
-def ray(camera, width, height, x, y):
-    """Origin and unit direction of the ray through a point of the image."""
-    rotation, focal = camera["rotation"], width / 2 / math.tan(math.radians(camera["fov_deg"]) / 2)
-    u, v = (x - width / 2) / focal, (y - height / 2) / focal
-    length = math.sqrt(u * u + v * v + 1)
-    return list(camera["position"]), [(rotation[3 * k] * u + rotation[3 * k + 1] * v + rotation[3 * k + 2]) / length for k in range(3)]
-
-
-def place_at(camera, width, height, x, y):
-    """World position of what is seen at a point of the image."""
-    origin, direction = ray(camera, width, height, x, y)
-    t = cast(origin, direction)[0]
-    return [o + t * d for o, d in zip(origin, direction)]
-
-
-def pixel_of(camera, width, height, place):
-    """Where the camera has a place in its image, or None."""
-    rotation, focal = camera["rotation"], width / 2 / math.tan(math.radians(camera["fov_deg"]) / 2)
-    away = [p - o for p, o in zip(place, camera["position"])]
-    x, y, z = (sum(rotation[3 * k + c] * away[k] for k in range(3)) for c in range(3))
-    at = [focal * x / z + width / 2, focal * y / z + height / 2] if z > 1e-6 else [-1, -1]
-    return at if 0 <= at[0] < width and 0 <= at[1] < height else None
-
-
-def is_seen(camera, place):
-    """Nothing lies between the camera and the place."""
-    away = [p - o for p, o in zip(place, camera["position"])]
-    length = math.sqrt(sum(v * v for v in away))
-    return abs(cast(list(camera["position"]), [v / length for v in away])[0] - length) < 0.03 * length
-
-
-def photo(k, count, width, height, scale, is_turned=False):
+def photo(k, width, height, scale, is_turned=False):
     """The photograph of view k as PNG, `scale` times as large: then with lines that are one of its pixels wide, 8 of a small one's apart."""
-    rows = rendered(k, count, width, height)[0][::-1 if is_turned else 1]
+    rows = rendered(k, width, height)[0][::-1 if is_turned else 1]
     if scale == 1:
         return png(width, height, rows, 2)
     large = []
@@ -124,51 +61,6 @@ def photo(k, count, width, height, scale, is_turned=False):
             wide[3 * x:3 * x + 3] = b"\xff\xff\xff"
         large += [bytes(wide)] * scale
     return png(width * scale, height * scale, large, 2)
-
-
-def render(camera, width, height):
-    """(rgb rows, objects [height][width]) of a camera {"position", "rotation", "fov_deg"}."""
-    rows, objects = [], []
-    for j in range(height):
-        row, line = bytearray(), bytearray()
-        for i in range(width):
-            origin, d = ray(camera, width, height, i + 0.5, j + 0.5)
-            t, (which, color, shade) = cast(origin, d)
-            if which == 0 and (math.floor(2 * (origin[0] + t * d[0])) + math.floor(2 * (origin[1] + t * d[1]))) % 2:
-                shade *= 0.9
-            if which == 3 and math.floor(6 * (origin[0] + t * d[0])) % 2:
-                shade *= 0.94
-            shade *= 1.12 - 0.07 * t + ((i * 7 + j * 13 + i * j) % 5) * 0.006
-            row += bytes(min(255, int(c * shade)) for c in color)
-            line.append(which)
-        rows.append(bytes(row))
-        objects.append(bytes(line))
-    return rows, objects
-
-
-LOCK = threading.Lock()
-
-
-def rendered(k, count, width, height):
-    """View k of `count`; cast once."""
-    with LOCK:
-        return cast_view(k, count, width, height)
-
-
-@functools.lru_cache(maxsize=None)
-def cast_view(k, count, width, height):
-    return render(cameras(count)[k], width, height)
-
-
-def cameras(count):
-    """`count` places on a ring in the room that look across it."""
-    out = []
-    for k in range(count):
-        angle = 2 * math.pi * k / count
-        place = (1.7 * math.cos(angle), 1.3 * math.sin(angle), 1.55)
-        position, rotation = look(place, (-1.4 * math.cos(angle), -1.2 * math.sin(angle), 0.75))
-        out.append({"position": position, "rotation": rotation, "fov_deg": 78.0})
-    return out
 
 
 PAGE = pathlib.Path(__file__).resolve().parents[2] / "app/serve/page"
@@ -184,7 +76,6 @@ class Room:
     def __init__(self, views=12, size=(160, 120), classes=(), room=32, held_out=0, photo_scale=1):
         self.size, self.most, self.held_out, self.photo_scale = size, room, held_out, photo_scale
         self.photos = []  # (view, most_px) that were requested
-        self.cameras = cameras(views)
         self.frames = [f"rgb_{k:02}" for k in range(views)]
         self.given = [{"name": name, "color": COLORS[i % 4], "own": True} for i, name in enumerate(classes)]
         self.events, self.exports, self.faults, self.received = [], [], set(), []
@@ -200,7 +91,7 @@ class Room:
             self.changed.notify_all()
 
     def view(self, k):
-        return rendered(k, len(self.cameras), *self.size)
+        return rendered(k, *self.size)
 
     # What the events add up to.
     def alive(self, events):
@@ -251,20 +142,17 @@ class Room:
         return known
 
     def place(self, view, at):
-        """World position of a pixel."""
-        return place_at(self.cameras[view], *self.size, *at)
+        return left_of(view) + at[0] / self.size[0], at[1] / self.size[1]
 
-    def seen(self, marks, camera, size, own):
-        """Marks of other views that a camera sees."""
-        out = []
-        for mark in marks:
-            if mark["view"] == own or mark["class"] < 0:
-                continue
-            place = self.place(mark["view"], mark["points"][0])
-            at = pixel_of(camera, *size, place)
-            if at and is_seen(camera, place):
-                out.append({"id": mark["id"], "points": [at]})
-        return out
+    def pixel_of(self, view, place):
+        """Where a view has a place; None: it does not see it."""
+        x = (place[0] - left_of(view)) * self.size[0]
+        return [x, place[1] * self.size[1]] if 0 <= x < self.size[0] else None
+
+    def seen(self, marks, view):
+        """Marks of other views that a view sees."""
+        places = [(m["id"], self.pixel_of(view, self.place(m["view"], m["points"][0]))) for m in marks if m["view"] != view and m["class"] >= 0]
+        return [{"id": id_, "points": [at]} for id_, at in places if at]
 
     def apply(self, event):
         if any(e["id"] == event["id"] for e in self.events):
@@ -290,7 +178,7 @@ class Room:
             self.touch()
 
     def proposal(self, known, skipped):
-        for which in (4, 5, 6, 0, 7, 2, 1, 3):
+        for which in (4, 5, 6, 0, 7, 2, 1):
             for k in range(len(self.frames) - self.held_out):
                 if which in known or (which, k) in skipped or k % 3:
                     continue
@@ -335,7 +223,7 @@ class Room:
         table = bytes(known.get(v, other) + 1 for v in range(256))
         doubt = bytes((40 if v in known else 220) if known else 128 for v in range(256))
         head = {"width": width, "height": height, "overlay_revision": self.overlay[0], "render_ms": 1000 * (time.time() - begin), "stale": False,
-                "marks": self.seen(marks, self.cameras[wish["view"]], (width, height), wish["view"])}
+                "marks": self.seen(marks, wish["view"])}
         parts = [json.dumps(head).encode(), png(width, height, rows, 2) if wish.get("color") else b"",
                  png(width, height, [r.translate(table) for r in objects], 3, [[0, 0, 0]] + [c["color"] for c in classes]) if wish.get("labels") else b"",
                  png(width, height, [r.translate(doubt) for r in objects], 0) if wish.get("entropy") else b""]
@@ -421,7 +309,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
             room.photos.append((view, most))
             scale = 1 if 0 < most <= 480 else room.photo_scale
             named = query.get("photo") == f"{view}-{room.turned}"
-            self.answer(photo(view, len(room.cameras), *room.size, scale, room.turned), "image/png", cache="max-age=600, immutable" if named else "no-store")
+            self.answer(photo(view, *room.size, scale, room.turned), "image/png", cache="max-age=600, immutable" if named else "no-store")
         elif path.startswith("export/"):
             self.answer(b"exported", "application/octet-stream")
         else:

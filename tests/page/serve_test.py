@@ -12,34 +12,15 @@ import sys
 import tempfile
 import urllib.request
 import zipfile
-import zlib
 
 import page_case
+
+sys.path.insert(1, str(pathlib.Path(__file__).resolve().parent.parent))
+from program import png_bytes  # noqa: E402
 
 PROGRAM, CONFIG = sys.argv[1:3] if len(sys.argv) > 2 else ("", "")
 SIZE = (96, 72)
 SETTINGS = {"scene.frames": 8, "scene.test_frames": 2, "scene.labels.frames": "none", "scene.load.width_px": SIZE[0], "runtime.threads": 2}
-
-
-def grey_png(data):
-    """Rows of an 8-bit grey PNG."""
-    chunks, at = {}, 8
-    while at < len(data):
-        length = int.from_bytes(data[at:at + 4], "big")
-        chunks.setdefault(data[at + 4:at + 8], []).append(data[at + 8:at + 8 + length])
-        at += 12 + length
-    width, height, bits, kind = (int.from_bytes(chunks[b"IHDR"][0][a:b], "big") for a, b in ((0, 4), (4, 8), (8, 9), (9, 10)))
-    assert (bits, kind) == (8, 0), (bits, kind)
-    raw, rows, before = zlib.decompress(b"".join(chunks[b"IDAT"])), [], bytes(width)
-    for j in range(height):
-        how, row = raw[j * (width + 1)], bytearray(raw[j * (width + 1) + 1:(j + 1) * (width + 1)])
-        for i in range(width):
-            a, b, c = row[i - 1] if i else 0, before[i], before[i - 1] if i else 0
-            near = min((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c))[2]
-            row[i] = (row[i] + (0, a, b, (a + b) // 2, near)[how]) % 256
-        rows.append(bytes(row))
-        before = row
-    return rows
 
 
 class Serve:
@@ -184,8 +165,8 @@ class ServeTest(page_case.PageCase):
         page.wait("document.querySelector('#export-list a')", "no export", 120)
         data = page.run("return fetch(document.querySelector('#export-list a').href).then((a) => a.arrayBuffer()).then((b) => [...new Uint8Array(b)])")
         with zipfile.ZipFile(io.BytesIO(bytes(data))) as labels:
-            rows = grey_png(labels.read(f"{self.serve.state()['views'][0]['frame']}_label.png"))
-        inside, outside = {rows[j][i] for j in range(6, 28) for i in range(6, 28)}, [v for row in rows[40:] for v in row]
+            pixels = png_bytes(zipfile.Path(labels, f"{self.serve.state()['views'][0]['frame']}_label.png"))
+        inside, outside = {pixels[SIZE[0] * j + i] for j in range(6, 28) for i in range(6, 28)}, pixels[40 * SIZE[0]:]
         self.assertEqual(len(inside), 1, "a region that is ignored has labels")
         self.assertNotIn(inside.pop(), {row["id"] for row in self.serve.state()["classes"]})
         self.assertGreater(sum(v in {row["id"] for row in self.serve.state()["classes"]} for v in outside), len(outside) / 2)
