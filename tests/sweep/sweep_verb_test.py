@@ -212,19 +212,6 @@ class SharedSweep(SweepCase):
         again = self.ended(self.words(), 1, "no training pixel carries a label")
         self.assertEqual((again.err.count(broken), again.out), (1, a.out))
 
-    def test_the_cell_of_a_killed_process_is_taken_up(self):
-        """The cell is held in the middle of its work while its sweep dies, so that the other finds it unfinished."""
-        self.sweep(200)
-        first = self.start(*self.words("--jobs", 1))
-        cell, process = self.held(first)
-        second = self.start(*self.words("--jobs", 1))
-        self.assertTrue(until(lambda: f"process {first.pid} on " in second.err()), second.err())
-        first.kill()
-        os.kill(process, signal.SIGCONT)
-        self.assertEqual(self.ok(second.wait()).out, self.done(3))
-        self.lacks(self.cells("result.json")[cell], "processor_s")  # gone on with, so nobody knows what it took in all
-        self.assertEqual(self.results(), self.results_of_one())
-
     def test_another_sweep_on_the_folder_is_refused_by_name(self):
         out = self.sweep(100_000)
         first = self.start(*self.words("--jobs", 2))
@@ -299,14 +286,6 @@ class SweepRanks(SweepCase):
         r = mpirun.wait()
         self.assertEqual(r.out, self.done(6), r.err)
         self.lacks(self.cells("result.json")[cell], "processor_s")  # another rank went on from its checkpoint
-        self.assertEqual(self.results(), self.results_of_one())
-
-    def test_without_recovery_the_same_command_goes_on_with_any_number_of_ranks(self):
-        self.sweep(120, "seeds: [1, 2]\n")
-        mpirun = self.mpirun(3)
-        self.kill_the_rank_of_a_cell(mpirun)
-        self.assertNotEqual(mpirun.wait().code, 0)
-        self.assertEqual(self.ok(self.mpirun(2).wait()).out, self.done(6))
         self.assertEqual(self.results(), self.results_of_one())
 
     def test_a_failed_cell_is_told_by_the_exit_code(self):
