@@ -50,10 +50,6 @@ TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
   EXPECT_NE(c.semantic, a.semantic);
 }
 
-void expect_unchanged_without(const std::string& switched_off) {
-  expect_same_gradients(two_pass_config(), two_pass_config("runtime: {" + switched_off + ": false}\n"));
-}
-
 TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSums) {
   expect_same_gradients(two_pass_config("runtime: {lanes: 1, tile_rays: 64}\n"),
                         two_pass_config("runtime: {lanes: 3, tile_rays: 4}\n"));
@@ -63,9 +59,10 @@ TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSums) {
   expect_same_gradients(hash + "runtime: {lanes: 1, tile_rays: 192}\n", hash + "runtime: {lanes: 5, tile_rays: 8}\n");
 }
 
-TEST(Parity, DeferredClassLayer) { expect_unchanged_without("deferred_class_layer"); }
-TEST(Parity, FoldedFeatureLayer) { expect_unchanged_without("fold_feature_layer"); }
-TEST(Parity, DirectionOncePerRay) { expect_unchanged_without("direction_once_per_ray"); }
+// What networks of layers save: Mlp of tests/plugin.
+TEST(Parity, DeferredClassLayer) {
+  expect_same_gradients(two_pass_config(), two_pass_config("runtime: {deferred_class_layer: false}\n"));
+}
 
 // Matter so dense that most samples lie in the dark, which hides nothing but rounding.
 TEST(Parity, SamplesThatLightDoesNotReachAreLeftOut) {

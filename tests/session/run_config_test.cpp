@@ -118,18 +118,25 @@ TEST(RunConfig, WhatIsChosenFromTheSceneStandsInTheResolvedForm) {
   EXPECT_EQ(fingerprint(first.pipeline->store()), fingerprint(second.pipeline->store()));
 }
 
-TEST(RunConfig, EveryShippedConfigReadsWithoutError) {
-  int read = 0;
+// Those of sweeps and of tune are read by their tests.
+TEST(RunConfig, EveryShippedConfigReadsAndSettlesItsPrecision) {
+  int read = 0, with_networks = 0;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(SEMFIELD_SOURCE_DIR "/configs")) {
     const std::string path = entry.path().string();
-    if (entry.path().extension() != ".yaml" || path.find("/presets/") != std::string::npos ||
-        path.find("/experiments/") != std::string::npos || path.find("/tune/") != std::string::npos ||
-        path.find(".classes.") != std::string::npos)
-      continue;  // files of sweeps and of tune are read by their tests
+    if (entry.path().extension() != ".yaml" || path.find(".classes.") != std::string::npos) continue;
+    const ConfigNode tree = compose_config(path, {});
+    if (tree.find("passes") != nullptr) {
+      ++with_networks;
+      const ConfigNode* runtime = tree.find("runtime");
+      EXPECT_TRUE(runtime != nullptr && runtime->find("precision") != nullptr) << path;
+    }
+    const auto is_in = [&](const char* folder) { return path.find(folder) != std::string::npos; };
+    if (is_in("/presets/") || is_in("/experiments/") || is_in("/tune/")) continue;
     EXPECT_NO_THROW(load_run_config(path, {}, all_plugins())) << path;
     ++read;
   }
   EXPECT_GT(read, 0);
+  EXPECT_GE(with_networks, 18);
 }
 
 // Where a run trains whose parts lack kernels for the device; the device itself is not needed.
@@ -201,21 +208,6 @@ TEST(SlowPaths, AreSaidWhereTheyAreTaken) {
   EXPECT_HAS(fp32_alone.slow_paths(kGpu, Precision::fp32), "field 'tiny_mlp' has no kernels of bf16");
   EXPECT_HAS(cpu.slow_paths(kCpu, Precision::bf16, false), "they are emulated");
   EXPECT_EQ(cpu.slow_paths(kCpu, Precision::bf16, true), "");
-}
-
-// Every file of configs/ that has networks, with what it includes.
-TEST(ShippedConfigurations, SettleTheirPrecision) {
-  int with_networks = 0;
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(SEMFIELD_SOURCE_DIR "/configs")) {
-    if (entry.path().extension() != ".yaml") continue;
-    const ConfigNode tree = compose_config(entry.path().string(), {});
-    if (tree.find("passes") == nullptr) continue;
-    ++with_networks;
-    const ConfigNode* runtime = tree.find("runtime");
-    const ConfigNode* precision = runtime == nullptr ? nullptr : runtime->find("precision");
-    EXPECT_NE(precision, nullptr) << entry.path();
-  }
-  EXPECT_GE(with_networks, 18);
 }
 
 // Terms of the list `losses` in a run: read from the configuration, held against the scene, trained with.
