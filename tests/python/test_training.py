@@ -248,19 +248,6 @@ def test_labels_that_cannot_be_set(run: sf.Run) -> None:
         assert np.array_equal(run.training_labels(0), before)
 
 
-def test_a_class_without_a_logit_is_refused(scene: sf.Scene) -> None:
-    run = sf.open({**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 1}}})
-    absent = [c for c in run.classes if not c.learned]
-    if not absent:  # one frame saw every wall: nothing to refuse
-        pytest.fail("the box's first frame shows all six walls")
-    with pytest.raises(sf.DataError, match="absent_classes"):
-        run.set_labels(0, np.full((24, 32), absent[0].id))
-    kept = sf.open({**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 1}}},
-                   keep=["semantics", "absent_classes"])
-    kept.set_labels(0, np.full((24, 32), absent[0].id))
-    assert kept.training_labels(0)[0, 0] == absent[0].id
-
-
 def test_clicks_are_stored_and_count(unlabelled: sf.Run) -> None:
     labels = unlabelled.labels
     click = labels.add_click("0000", 3.5, 4.5, "left")
