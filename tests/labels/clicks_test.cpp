@@ -224,12 +224,6 @@ TEST(Annotations, ARenamingStaysWithItsClassWhenThePlaceIsGivenAway) {
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair ");
 }
 
-TEST(Annotations, AFileWithOneNameTwiceIsNamedWithItsLine) {
-  const std::vector<LabelEvent> events{add("1", "chair"), click("2", "chair", {1, 1}), add("3", "chair")};
-  EXPECT_HAS(error_of([&] { (void)replay(scene_of(), 0, events, "clicks.jsonl"); }), "clicks.jsonl:3:", "chair",
-             "already");
-}
-
 TEST(Annotations, ARenamedClassKeepsItsPlaceAndItsClicks) {
   Annotations annotations(scene_of(room_table()), 6);
   apply_all(annotations, {add("1", "armchair"), click("2", "armchair", {1, 1})});
@@ -257,32 +251,6 @@ TEST(Annotations, ARenamedClassKeepsItsPlaceAndItsClicks) {
   EXPECT_EQ(annotations.classes().valid(1).name, "chair");
 }
 
-TEST(Annotations, NamesAreOnce) {
-  Annotations annotations(scene_of(room_table()), 6);
-  annotations.apply(add("1", "sofa"));
-  for (const std::string taken : {"chair", "sofa", "void"}) {
-    const std::string said = "event '2': there is a class '" + taken + "' already; choose another name";
-    EXPECT_EQ(refusal(annotations, add("2", taken)), said);
-    EXPECT_EQ(refusal(annotations, taken == "sofa" ? add("2", taken) : rename("2", "sofa", taken)), said);
-  }
-  for (const std::string name : {"Unlabelled", "unnamed 77"})
-    EXPECT_EQ(refusal(annotations, add("2", name)),
-              "event '2': '" + name + "' stands for pixels and classes without a name; choose another name");
-  EXPECT_HAS(refusal(annotations, rename("2", "void", "nothing")), "event '2':", "void", "a class");
-  EXPECT_EQ(refusal(annotations, rename("2", "soffa", "x")), "event '2': no class 'soffa'; did you mean 'sofa'?");
-}
-
-TEST(Annotations, FramesThatDoNotTrainAndPointsOutsideAreRefused) {
-  Annotations annotations(scene_of(room_table()), 0);
-  EXPECT_HAS(refusal(annotations, click("1", "chair", {1, 1}, 0, "t")), "event '1':", "training frame");
-  EXPECT_HAS(refusal(annotations, click("1", "chair", {1, 1}, 0, "elsewhere")), "event '1':", "elsewhere", "no frame");
-  EXPECT_EQ(refusal(annotations, click("1", "chair", {8.1, 1})), "event '1': a point lies outside the image of 8 x 6");
-  EXPECT_EQ(refusal(annotations, click("1", "chiar", {1, 1})), "event '1': no class 'chiar'; did you mean 'chair'?");
-  LabelEvent empty = click("1", "chair", {1, 1});
-  empty.points.clear();
-  EXPECT_EQ(refusal(annotations, empty), "event '1': needs the size of an image and a point in it");
-}
-
 TEST(Annotations, SkipsAreListedAndUndone) {
   Annotations annotations(scene_of(room_table()), 0);
   LabelEvent skip = click("1", "", {2, 3});
@@ -295,58 +263,10 @@ TEST(Annotations, SkipsAreListedAndUndone) {
   EXPECT_TRUE(annotations.skips().empty());
 }
 
-// --- strokes ---
-
-Rows stroke(const std::vector<PixelPoint>& points, double radius, int width, int height) {
-  LabelRaster raster = void_raster(width, height);
-  paint(stroke_runs(points, radius, width, height), 1, raster);
-  return rows_of(raster);
-}
-
-TEST(Strokes, CoverEveryPixelWhoseCentreIsNear) {
-  // Against the distance to the polyline, pixel by pixel; without the pixels of the line itself.
-  const std::vector<PixelPoint> line{{3.3, 2.1}, {20.7, 9.4}, {18.2, 25.5}, {5.5, 25.5}, {5.5, 12}};
-  for (const double radius : {1.0, 2.7, 6.0}) {
-    const Rows rows = stroke(line, radius, 24, 30);
-    for (int y = 0; y < 30; ++y) {
-      for (int x = 0; x < 24; ++x) {
-        double nearest = 1e9;
-        for (std::size_t i = 0; i + 1 < line.size(); ++i) {
-          const double dx = line[i + 1].x - line[i].x, dy = line[i + 1].y - line[i].y;
-          const double px = x + 0.5 - line[i].x, py = y + 0.5 - line[i].y;
-          const double t = std::clamp((px * dx + py * dy) / (dx * dx + dy * dy), 0.0, 1.0);
-          nearest = std::min(nearest, std::hypot(px - t * dx, py - t * dy));
-        }
-        const bool set = rows[y][x] == '1';
-        EXPECT_EQ(set, nearest <= radius) << x << ", " << y << " at " << nearest << " of " << radius;
-      }
-    }
-  }
-}
-
-TEST(Strokes, AThinOneIsTheLineWithoutGaps) {
-  EXPECT_EQ(stroke({{0.5, 0.5}, {4.5, 2.5}}, 0, 6, 3), (Rows{"11....", ".111..", "...11."}));
-  EXPECT_EQ(stroke({{1.5, 0.2}, {1.5, 2.9}}, 0, 3, 3), (Rows{".1.", ".1.", ".1."}));
-  EXPECT_EQ(stroke({{0, 3}, {3, 3}}, 0, 3, 3), (Rows{"...", "...", "111"}));
-  EXPECT_EQ(stroke({{2.9, 1.9}, {2.9, 1.9}}, 0, 3, 3), (Rows{"...", "..1", "..."}));
-}
-
-TEST(Strokes, AHugeOneFillsTheImageOnce) {
-  std::vector<PixelPoint> points;
-  for (int i = 0; i < 4096; ++i) points.push_back({i % 64 + 0.5, i / 64 + 0.5});
-  const std::vector<PixelRun> runs = stroke_runs(points, 1e6, 64, 64);
-  EXPECT_EQ(runs.size(), 64u);
-  EXPECT_EQ(area_of(runs), 64 * 64);
-}
-
-// Label events: their text there and back, what is refused, and classes that are added, renamed, merged and deleted.
+// Label events there and back. What is refused of them: tests/bad_files/labels.cases.
 
 const std::string kClick =
     R"({"id":"a1-17","type":"click","frame":"rgb_12","size":[320,240],"points":[[12.5,33.0]],"radius":4,"class":"chair"})";
-
-std::string refusal_of(const std::string& json) {
-  return error_of([&] { (void)parse_label_event(json); });
-}
 
 // kClick with `from` replaced.
 std::string click_with(const std::string& from, const std::string& to) {
@@ -397,71 +317,6 @@ TEST(LabelEvent, EveryBitOfANumberAndOfANameComesBack) {
   EXPECT_EQ(parse_label_event(label_event_json(event)), event);
   event.points.assign(kMostEventPoints, {123.45678901234567, 98.76543210987654});
   EXPECT_EQ(parse_label_event(label_event_json(event)), event);
-}
-
-TEST(LabelEvent, TheBoundsThemselvesAreTaken) {
-  EXPECT_EQ(parse_label_event(click_with("[12.5,33.0]", "[320,240]")).points[0].x, 320);
-  EXPECT_EQ(parse_label_event(click_with("[12.5,33.0]", "[0,0]")).points[0].x, 0);
-  EXPECT_EQ(parse_label_event(click_with("[320,240]", "[65536,65536]")).width_px, 65536);
-  EXPECT_EQ(parse_label_event(click_with("\"radius\":4", "\"radius\":1e6")).radius_px, 1e6);
-  EXPECT_EQ(parse_label_event(click_with("\"radius\":4", "\"radius\":0")).radius_px, 0);
-  EXPECT_EQ(parse_label_event(click_with("chair", std::string(128, 'c'))).class_name.size(), 128u);
-  EXPECT_EQ(parse_label_event(click_with("a1-17", std::string(64, 'Z'))).id.size(), 64u);
-}
-
-TEST(LabelEvent, EveryRefusalNamesTheKey) {
-  const std::pair<std::string, std::string> cases[] = {
-      {"", "event: not valid JSON: parse error at line 1, column 1"},
-      {"[]", "event: expected a map {\"id\":...,\"type\":...}, got a list of 0"},
-      {"{}", "event: key 'type' is missing"},
-      {R"({"type":"undo","of":"a"})", "event: key 'id' is missing"},
-      {R"({"id":"a","type":"undo"})", "event: key 'of' is missing"},
-      {R"({"id":"a","type":"undo","of":"a"})", "event: 'of': it is the event's own id"},
-      {R"({"id":"a","type":"class"})", "event: key 'name' is missing"},
-      {R"({"id":"a","type":"class","name":"b","color":[1,2,256]})", "event: 'color': expected whole"},
-      {R"({"id":"a","type":"class","name":"b","colour":[1,2,3]})", "event: unknown key"},
-      {R"({"id":"a","type":"skip","frame":"f","size":[4,3],"points":[[1,1],[2,2]]})", "event: 'points': expected a"},
-      {R"({"id":"a","type":"skip","frame":"f","size":[4,3],"points":[[1,1]],"radius":1})", "event: unknown key"},
-      {click_with("\"click\"", "\"klick\""), "event: 'type': expected click"},
-      {R"({"id":"a","type":"merge","class":"b"})", "event: key 'into' is missing"},
-      {R"({"id":"a","type":"delete","class":"b","into":"c"})", "event: unknown key \"into\" of a 'delete'"},
-      {click_with("\"class\":\"chair\"", "\"class\":\"chair\",\"fill\":1"), "event: 'fill': expected true"},
-      {click_with("\"class\":\"chair\"", "\"class\":\"chair\",\"fill\":true"), "event: 'fill': an outline"},
-      {click_with("a1-17", "a 17"), "event: 'id': expected 1"},
-      {click_with("a1-17", std::string(65, 'a')), "event: 'id': expected 1 to 64 letters"},
-      {click_with("rgb_12", "a\\nb"), "event: 'frame': expected a"},
-      {click_with("\"frame\":\"rgb_12\",", ""), "event: key 'frame' is missing"},
-      {click_with("[320,240]", "[320]"), "event: 'size': expected [width, height], got a list of 1"},
-      {click_with("[320,240]", "[320,65537]"), "event: 'size': expected whole numbers from 1 to 65536, got 65537"},
-      {click_with("[320,240]", "[320.5,240]"), "event: 'size': expected whole numbers from 1 to 65536, got 320.5"},
-      {click_with("[[12.5,33.0]]", "[]"), "event: 'points': expected a list of 1 to 4096 points, got a list of 0"},
-      {click_with("[12.5,33.0]", "[12.5]"), "event: 'points': point 1 is not a pair of numbers [x, y]: a list of 1"},
-      {click_with("[12.5,33.0]", "[1,2],[3,\"4\"]"), "event: 'points': point 2 is not a pair of numbers [x, y]"},
-      {click_with("[12.5,33.0]", "[320.001,33]"), "event: 'points': point 1"},
-      {click_with("[12.5,33.0]", "[1e999,1]"), "event: not valid JSON: number overflow"},
-      {click_with("\"radius\":4", "\"radius\":1000001"), "event: 'radius': expected pixels"},
-      {click_with("chair", std::string(129, 'c')), "event: 'class': expected a text of 1 to 128 bytes"},
-      {click_with("chair", "ch\\u0000air"), "event: 'class': expected a"},
-      {click_with("chair", "ch\xff"), "event: not valid JSON"},
-      {click_with("\"id\":\"a1-17\"", "\"id\":\"b\",\"id\":\"a1-17\""), "event: key \"id\" is given twice"},
-      {click_with("\"id\"", "\"time_ms\":-1,\"id\""), "event: 'time_ms': expected milliseconds since 1970, got -1"},
-      {click_with("\"id\"", "\"klass\":1,\"id\""), "event: unknown key \"klass\" of a 'click'; did you mean 'class'?"},
-      {kClick + "{}", "event: not valid JSON"},
-      {std::string(kMostEventBytes + 1, ' '), "event: it is"},
-  };
-  for (const auto& [json, said] : cases)
-    EXPECT_TRUE(refusal_of(json).find(said) == 0) << json << "\n" << refusal_of(json) << "\n" << said;
-  std::string many;
-  for (std::size_t i = 0; i <= kMostEventPoints; ++i) many += i == 0 ? "[1,1]" : ",[1,1]";
-  EXPECT_EQ(refusal_of(click_with("[12.5,33.0]", many))
-                .find("event: 'points': expected a list of 1 to 4096 points, got a list of 4097"),
-            0u);
-}
-
-TEST(LabelEvent, DeepNestingIsRefusedWithoutACrash) {
-  EXPECT_HAS(refusal_of(std::string(kMostEventBytes, '[')), "event: not valid JSON");
-  const std::string deep = std::string(100000, '[') + std::string(100000, ']');
-  EXPECT_NE(refusal_of(click_with("[12.5,33.0]", deep)), "");
 }
 
 // Classes merged and deleted with their clicks, filled outlines and regions to ignore; and every one of them undone.
@@ -544,19 +399,6 @@ TEST(ClassEvents, APlaceThatWasGivenAwayDoesNotComeBack) {
       << "where the stool was";
   EXPECT_HAS(refusal(annotations, undo("x", "4")), "event 'x':", "stool", "lamp");
   EXPECT_EQ(classes_after(annotations, {undo("7", "6"), undo("8", "5"), undo("9", "4")}), "3=stool ");
-}
-
-TEST(ClassEvents, WhatCannotBeMergedOrDeletedIsRefused) {
-  Annotations annotations(scene_of(room_table()), 6);  // wall, chair, table are the scene's own
-  annotations.apply(add("1", "stool"));
-  EXPECT_HAS(refusal(annotations, merge("x", "wall", "stool")), "event 'x':", "wall", "the class");
-  EXPECT_HAS(refusal(annotations, remove_class("x", "wall")), "event 'x':", "wall", "the class");
-  EXPECT_HAS(refusal(annotations, merge("x", "stool", "stool")), "event 'x':", "into itself");
-  EXPECT_EQ(refusal(annotations, merge("x", "stool", "void")), "event 'x': 'void' stands for pixels without a class");
-  EXPECT_EQ(refusal(annotations, remove_class("x", "void")), "event 'x': 'void' stands for pixels without a class");
-  EXPECT_EQ(refusal(annotations, merge("x", "stol", "wall")), "event 'x': no class 'stol'; did you mean 'stool'?");
-  EXPECT_EQ(refusal(annotations, merge("x", "stool", "wal")), "event 'x': no class 'wal'; did you mean 'wall'?");
-  EXPECT_EQ(classes_after(annotations, {click("2", "stool", {1, 1}), merge("3", "stool", "wall")}), "2=wall ");
 }
 
 TEST(ClassEvents, AFilledOutlineIsItsInside) {
@@ -744,24 +586,15 @@ TEST(ClickLog, CutsATornLineAndSaysSo) {
   }
 }
 
-TEST(ClickLog, RefusesOtherBadLinesAndChangesNothing) {
-  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
-  const std::pair<std::string, std::string> cases[] = {
-      {line("1") + "{\"id\":\"2\"}\n" + line("3"), ":2: event: key 'type' is missing; fix or delete the line"},
-      {line("1") + "\n" + line("3"), ":2: event: not valid JSON"},
-      {line("1") + "nonsense\n", ":2: event: not valid JSON"},
-      {line("1") + line("2") + line("1"),
-       ":3: line 1 has the id '1', too; delete one of the lines, or give it another id"},
-      {line("1") + "frame,x,y", "' holds no label events: its last line has no end and begins with no '{'"},
-  };
-  for (const auto& [text, said] : cases) {
-    testing_room::plain_write(path, text);
-    Diagnostics diagnostics;
-    const std::string error = error_of([&] { (void)read_click_log(path, diagnostics); });
-    EXPECT_HAS(error, path, said);
-    EXPECT_EQ(error_of([&] { (void)ClickLog::open(path, diagnostics); }), error);
-    EXPECT_EQ(read_text_file(path), text);
-  }
+// What else is wrong with lines: tests/bad_files/labels.cases.
+TEST(ClickLog, ABadLineInTheMiddleChangesNothing) {
+  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl", text = line("1") + "nonsense\n" + line("3");
+  testing_room::plain_write(path, text);
+  Diagnostics diagnostics;
+  const std::string error = error_of([&] { (void)read_click_log(path, diagnostics); });
+  EXPECT_HAS(error, path + ":2: event: not valid JSON");
+  EXPECT_EQ(error_of([&] { (void)ClickLog::open(path, diagnostics); }), error);
+  EXPECT_EQ(read_text_file(path), text);
 }
 
 TEST_F(ClickLogOfOne, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
@@ -842,14 +675,6 @@ TEST(ClickReader, ReadsALogOfTheLabellingPage) {
     // At another loaded size.
     EXPECT_EQ(rows_of(reader->read(frame_of("a", 8, 6), table))[0], "........");
   }
-}
-
-TEST(ClickReader, ClassesOfALogStandBehindThoseOfTheScene) {
-  const auto reader = make_reader("clicks", "file: " + log_file(kLog));
-  Diagnostics diagnostics;
-  const ClassTable table = open_for(*reader, room_table(), {frame_of("a")}, diagnostics);
-  EXPECT_EQ(names_of_table(table), "0-void 1=wall 4=chair 7=table 8=light ");
-  EXPECT_EQ(rows_of(reader->read(frame_of("a"), table)), (Rows{"3.3.", ".333", "..3."}));
 }
 
 // --- scene.labels.clicks and class_room ---

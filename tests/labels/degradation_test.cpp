@@ -233,36 +233,6 @@ TEST(RegionNoise, RefusalsAreExact) {
   EXPECT_TRUE(step("region_noise")->needs_instances());
 }
 
-Case five_by_three() {
-  Case c = scene_of(8);
-  c.add(5, 3,
-        {0, 1, 2, 3, 4,  //
-         5, 6, 7, 0, 1,  //
-         2, 3, V, 5, 6});
-  return c;
-}
-
-TEST(SuperResolution, DenseSpreadsTheMiddlePixelOfEachCell) {
-  Case c = five_by_three();
-  c.apply(*step("super_resolution", "{factor: 2}"));
-  // Cells of columns 0-1, 2-3, 4 and rows 0-1, 2; their middle pixels are columns 1, 3, 4 and rows 1, 2.
-  EXPECT_EQ(c.labels[0].hard, (Labels{6, 6, 0, 0, 1,  //
-                                      6, 6, 0, 0, 1,  //
-                                      3, 3, V, 5, 6}));
-}
-
-TEST(SuperResolution, SparseKeepsRowsAndColumnsDivisibleByTheFactor) {
-  Case c = five_by_three();
-  const StepFacts facts = c.apply(*step("super_resolution", "{factor: 2, mode: sparse}"));
-  EXPECT_EQ(c.labels[0].hard, (Labels{0, V, 2, V, 4,  //
-                                      V, V, V, V, V,  //
-                                      2, V, V, V, 6}));
-  EXPECT_EQ(fact(facts, "labelled pixels after"), "5");
-  Case large = one_colour(3, 320, 240);
-  large.apply(*step("super_resolution", "{factor: 16, mode: sparse}"));
-  EXPECT_EQ(count(large.labels[1].hard, 2), 20 * 15);
-}
-
 // Pixels of `label` that are connected with its first one.
 std::int64_t connected(const Labels& labels, int width, std::int16_t label) {
   const auto size = static_cast<int>(labels.size());
@@ -478,22 +448,6 @@ TEST(DegradationLaws, FactsCountWhatChanged) {
     EXPECT_EQ(fact(facts, "frames"), "5");
     EXPECT_EQ(fact(facts, "pixels changed"), std::to_string(changed));
     EXPECT_EQ(fact(facts, "labelled pixels after"), std::to_string(labelled));
-  }
-}
-
-TEST(DegradationLaws, ValuesOutOfRangeAndUnknownKeysAreRefused) {
-  for (const auto& [type, keys, named] : std::vector<std::array<std::string, 3>>{
-           {"pixel_noise", "{ratio: 1.5}", "ratio"},
-           {"region_noise", "{ratio: -0.1}", "ratio"},
-           {"region_noise", "{mode: sorted}", "sort"},
-           {"region_noise", "{instances: [3], classes: [chair]}", "exclude each other"},
-           {"super_resolution", "{factor: 1}", "factor"},
-           {"super_resolution", "{factor: 65}", "factor"},
-           {"propagation", "{share: 5}", "share"},
-           {"simulated_predictions", "{similar: 0}", "similar"},
-           {"simulated_predictions", "{strenght: 1}", "strength"}}) {
-    const std::string message = error_of([&type = type, &keys = keys] { (void)step(type, keys); });
-    EXPECT_HAS(message, named) << type << keys << ": " << message;
   }
 }
 
