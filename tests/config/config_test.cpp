@@ -1,5 +1,3 @@
-// What the tests of configs share: the message of a refusal, files in a folder of their own.
-
 #include <unistd.h>
 
 #include <algorithm>
@@ -14,7 +12,6 @@
 #include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/config_words.h"
-#include "config/explain.h"
 #include "config/params.h"
 #include "core/files.h"
 #include "tests/says.h"
@@ -105,7 +102,8 @@ TEST(ConfigWrite, PlainTexts) {
   EXPECT_FALSE(is_plain_text("a: b"));
 }
 
-// Composition: include, merge, replace-on-type-change, overrides, like, paths.
+// Composition: merging, files by name, paths. Includes, overrides, like, explanations and differences:
+// tests/bad_files/config.cases.
 
 namespace fs = std::filesystem;
 
@@ -130,41 +128,6 @@ TEST(Merge, ChangedTypeReplacesWhole) {
   EXPECT_EQ(merged("{e: {levels: 8}}", "{e: {type: hash_grid}}"), "{e: {levels: 8, type: hash_grid}}");
   EXPECT_EQ(merged("{e: {type: {x: 1}}}", "{e: {type: {y: 1}}}"),
             "{e: {type: {x: 1, y: 1}}}");  // a key called type, no type
-}
-
-TEST(Compose, IncludesThenLocalKeysThenOverrides) {
-  const TempDir folder;
-  folder.write("parts/base.yaml", "train: {steps: 10, rate: 0.1}\nscene: {root: data}\n");
-  folder.write("parts/more.yaml", "include: base.yaml\ntrain: {rate: 0.2}\n");
-  folder.write("parts/last.yaml", "train: {batch: 64}\nscene: {root: other}\n");
-  const std::string path =
-      folder.write("room.yaml", "include: [parts/more.yaml, parts/last.yaml]\ntrain: {batch: 32}\n");
-  const ConfigNode root = compose_config(path, {"train.steps=20", "runtime.seed=7"});
-  EXPECT_EQ(write_config_inline(root),
-            "{train: {steps: 20, rate: 0.2, batch: 32}, scene: {root: other}, runtime: {seed: 7}}");
-  EXPECT_EQ(root.find("train")->find("steps")->location().text(), "--set train.steps=20");
-  EXPECT_EQ(root.find("train")->find("rate")->location().text(), folder / "parts/more.yaml" + ":2:15");
-  EXPECT_EQ(root.find("train")->find("batch")->location().text(), path + ":2:16");
-}
-
-TEST(Compose, SameFileTwiceIsNoCycle) {
-  const TempDir folder;
-  folder.write("base.yaml", "a: 1\n");
-  folder.write("left.yaml", "include: base.yaml\nb: 1\n");
-  folder.write("right.yaml", "include: base.yaml\nc: 1\n");
-  EXPECT_EQ(write_config_inline(compose_config(folder.write("room.yaml", "include: [left.yaml, right.yaml]\n"))),
-            "{a: 1, b: 1, c: 1}");
-}
-
-TEST(Compose, OverridesOfAFileReachIntoLists) {
-  const TempDir folder;
-  folder.write("base.yaml", "passes: [{sampler: {samples: 8}}]\noverrides: {train.steps: 5}\n");
-  const std::string path =
-      folder.write("room.yaml", "include: base.yaml\noverrides:\n  passes.main.sampler.samples: 9\n  a.b: [1]\n");
-  const ConfigNode root = compose_config(path, {"a.b=[2]"});
-  EXPECT_EQ(write_config_inline(root),
-            "{passes: [{sampler: {samples: 9}, name: main}], train: {steps: 5}, a: {b: [2]}}");
-  EXPECT_EQ(root.find("passes")->items()[0].find_path("sampler.samples")->location().text(), path + ":3:32");
 }
 
 TEST(Compose, ShippedPartsAreIncludedFromAnyFolder) {
@@ -206,82 +169,6 @@ TEST(SharedFiles, TheEnvironmentNamesAnotherFolder) {
                 "'; set it to the folder that holds configs/ and scenes/, or leave it out");
   ::unsetenv("SEMFIELD_SHARE");
   EXPECT_TRUE(std::filesystem::exists(shared_file("scenes/room/room.obj")));
-}
-
-class Overrides : public testing::Test {
- protected:
-  const TempDir folder_;
-  const std::string path_ = folder_.write(
-      "room.yaml",
-      "train: {steps: 10}\npasses:\n  - {name: coarse, encoder: {type: hash_grid, levels: 8}}\n  - {name: fine}\n"
-      "empty:\nnone: []\n");
-  std::string set(const std::vector<std::string>& overrides) const {
-    return write_config_inline(compose_config(path_, overrides));
-  }
-};
-
-TEST_F(Overrides, ValuesAreYaml) {
-  EXPECT_TRUE(set({"train.betas=[0.9, 0.99]"}).starts_with("{train: {steps: 10, betas: [0.9, 0.99]}"));
-  EXPECT_TRUE(set({"train={rate: 1e-3}"}).starts_with("{train: {steps: 10, rate: 1e-3}"));
-  EXPECT_TRUE(set({"train.note='a=b.c'"}).starts_with("{train: {steps: 10, note: \"a=b.c\"}"));
-  EXPECT_TRUE(set({"train.note=a=b.c"}).starts_with("{train: {steps: 10, note: a=b.c}"));
-  EXPECT_TRUE(set({"train.steps="}).starts_with("{train: {steps: null}"));
-  EXPECT_TRUE(set({"train.steps=1", "train.steps=2"}).starts_with("{train: {steps: 2}"));
-  EXPECT_TRUE(set({"a.b.c=1"}).ends_with("a: {b: {c: 1}}}"));
-  EXPECT_HAS(set({"empty.x=1"}), "empty: {x: 1}");
-}
-
-TEST_F(Overrides, ListItemsByIndex) {
-  EXPECT_HAS(set({"passes.0.encoder.levels=4"}), "{name: coarse, encoder: {type: hash_grid, levels: 4}}");
-  EXPECT_HAS(set({"passes.1.samples=3"}), "{name: fine, samples: 3}");
-}
-
-TEST_F(Overrides, ListItemsByName) {
-  for (const char* key : {"encoder.levels=4", "encoder.type=frequency", "encoder={type: frequency, frequencies: 4}"})
-    EXPECT_EQ(set({"passes.coarse." + std::string(key)}), set({"passes.0." + std::string(key)})) << key;
-  EXPECT_EQ(set({"passes.fine.samples=3"}), set({"passes.1.samples=3"}));
-  // A pass that an override names is called by its new name from there on.
-  EXPECT_EQ(set({"passes.fine.name=last", "passes.last.samples=3"}), set({"passes.1.samples=3", "passes.1.name=last"}));
-}
-
-// What messages call a pass that is given no name.
-TEST(Names, OfPassesWithoutOneAndOfBranches) {
-  const TempDir folder;
-  const std::string path =
-      folder.write("room.yaml",
-                   "passes:\n  - {n: 1, semantic: [{labels: few, n: 1}, {labels: any, n: 1}]}\n  - {name: a.b, n: 1}\n"
-                   "  - {name: '2', n: 1}\n  - {n: 1, losses: [{type: x, n: 1}]}\n");
-  const ConfigNode passes = *compose_config(path).find("passes");
-  const auto set = [&](const std::string& of_passes) {
-    return write_config(compose_config(path, {"passes." + of_passes + ".n=2"}));
-  };
-  // A name with a dot, and one that looks like an index, are no keys.
-  const char* keys[] = {"main", "1", "2", "pass3"};
-  for (std::size_t i = 0; i < 4; ++i) {
-    EXPECT_EQ(item_key(passes, i), keys[i]);
-    EXPECT_EQ(set(keys[i]), set(std::to_string(i)));
-  }
-  EXPECT_EQ(set("main.semantic.any"), set("0.semantic.1"));
-  EXPECT_EQ(item_key(*passes.items()[3].find("losses"), 0), "0");
-}
-
-TEST(Like, OwnKeysWinOverTheNamedPass) {
-  const TempDir folder;
-  const std::string coarse =
-      "name: coarse, sampler: {type: stratified, samples: 64}, field: {type: nerf_mlp, depth: 8, width: 256}";
-  const std::string path =
-      folder.write("room.yaml", "passes:\n  - {" + coarse +
-                                    "}\n  - {name: fine, like: coarse, sampler: {type: importance, n: 9}, "
-                                    "field: {width: 128}}\n  - like: fine\n    name: finest\n");
-  const auto like_fine = [](const std::string& name, int depth) {
-    return "{name: " + name +
-           ", sampler: {type: importance, n: 9}, field: {type: nerf_mlp, depth: " + std::to_string(depth) +
-           ", width: 128}}";
-  };
-  EXPECT_EQ(write_config_inline(*compose_config(path).find("passes")),
-            "[{" + coarse + "}, " + like_fine("fine", 8) + ", " + like_fine("finest", 8) + "]");
-  // An override of the named pass reaches those that are like it.
-  EXPECT_HAS(write_config_inline(compose_config(path, {"passes.0.field.depth=4"})), like_fine("finest", 4));
 }
 
 TEST(ResolvePath, RelativeToTheFileThatWroteIt) {
@@ -409,76 +296,6 @@ TEST(ParamsDescribe, OneRowAParameter) {
             "dense|bool|false|\nroot|text|data/room|\ninterpolation|choice|linear|linear, smoothstep\n"
             "skips|list of int|[4]|[0, 8]\nbetas|list of number|[0.9, 0.999]|[0, 1]\nfiles|list of text|[]|\n");
   EXPECT_EQ(docs[0].help, "L, number of resolutions");
-}
-
-// Explaining where values come from, and what differs between two configs.
-
-std::string diff(const std::string& a, const std::string& b) {
-  std::string out;
-  for (const ConfigDifference& difference :
-       config_differences(parse_config_text(a, "a.yaml"), parse_config_text(b, "b.yaml")))
-    out += difference.text() + "\n";
-  return out;
-}
-
-TEST(Explain, EveryValueWithItsOrigin) {
-  const TempDir folder;
-  const std::string base = folder.write("base.yaml", "train:\n  steps: 10\n  betas: [0.9, 0.999]\nlabels: {}\n");
-  const std::string room =
-      folder.write("room.yaml", "include: base.yaml\ntrain:\n  rate: 0.1\npasses:\n  - name: größe\n");
-  const std::string text = explain_config(compose_config(room, {"train.steps=20", "train.betas.1=0.99"}));
-  EXPECT_EQ(text, "train:\n  steps: 20           # --set train.steps=20\n  betas: [0.9, 0.99]  # " + base +
-                      ":3:10, --set train.betas.1=0.99\n  rate: 0.1           # " + room +
-                      ":3:9\nlabels: {}            # " + base + ":4:9\npasses:\n  - name: \"größe\"     # " + room +
-                      ":5:11\n");
-  EXPECT_TRUE(
-      equal_config(parse_config_text(text, "again"), compose_config(room, {"train.steps=20", "train.betas.1=0.99"})));
-}
-
-TEST(Explain, DefaultsBesideWhatWasWritten) {
-  const ConfigNode written =
-      parse_config_text("train: {rate: 1e-3}\npasses:\n  - name: x\nreport:\nextra: 1\n", "a.yaml");
-  const ConfigNode resolved =
-      parse_config_value("{train: {steps: 10, rate: 0.001}, passes: [{name: x, n: 2}], report: {strips: 4}}", "");
-  EXPECT_EQ(explain_config(with_origins(resolved, written)),
-            "train:\n"
-            "  steps: 10   # default\n"
-            "  rate: 1e-3  # a.yaml:1:15\n"
-            "passes:\n"
-            "  - name: x   # a.yaml:3:11\n"
-            "    n: 2      # default\n"
-            "report:\n"
-            "  strips: 4   # default\n"
-            "extra: 1      # a.yaml:5:8\n");
-}
-
-TEST(Diff, NothingDiffers) {
-  EXPECT_EQ(diff("a: 1\nb: {c: word}\n", "# moved\nb:\n  c: 'word'\na: 1\n"), "");
-  EXPECT_EQ(diff("", ""), "");
-  EXPECT_EQ(diff("a: []\nb: {}", "b: {}\na: []"), "");
-}
-
-TEST(Diff, OnlyDifferencesByPath) {
-  EXPECT_EQ(
-      diff("train: {steps: 10, rate: 0.1, betas: [0.9, 0.99]}", "train: {steps: 20, rate: 0.1, betas: [0.9, 0.999]}"),
-      "train.steps: 10 -> 20\ntrain.betas: [0.9, 0.99] -> [0.9, 0.999]\n");
-  EXPECT_EQ(diff("a: 1", "a: '1'"), "a: 1 -> \"1\"\n");
-  EXPECT_EQ(diff("a: 0.1", "a: 0.10"), "a: 0.1 -> 0.10\n");
-  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: x, n: 2}]"), "passes.x.n: 1 -> 2\n");
-  // An index where the names differ: both sides take it.
-  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: y, n: 2}]"),
-            "passes.0.name: x -> y\npasses.0.n: 1 -> 2\n");
-}
-
-TEST(Diff, WhatOneSideLacks) {
-  EXPECT_EQ(diff("a: 1\nb: {c: 2, d: {e: 3}}\n", "a: 1\nf: [1]\n"),
-            "b.c: 2 -> (absent)\nb.d.e: 3 -> (absent)\nf: (absent) -> [1]\n");
-  EXPECT_EQ(diff("passes: [{n: 1}]", "passes: [{n: 1}, {n: 2, m: {}}]"),
-            "passes.1.n: (absent) -> 2\npasses.1.m: (absent) -> {}\n");
-  EXPECT_EQ(diff("passes: [{n: 1}, x]", "passes: []"), "passes.0.n: 1 -> (absent)\npasses.1: x -> (absent)\n");
-  EXPECT_EQ(diff("a: {b: 1}", "a: 2"), "a: {b: 1} -> 2\n");
-  EXPECT_EQ(diff("a: {b: 1}", "a: {}"), "a.b: 1 -> (absent)\n");
-  EXPECT_EQ(diff("[1]", "[2]"), "(top): [1] -> [2]\n");
 }
 
 }  // namespace

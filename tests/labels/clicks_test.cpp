@@ -588,7 +588,8 @@ TEST(ClickLog, CutsATornLineAndSaysSo) {
 
 // What else is wrong with lines: tests/bad_files/labels.cases.
 TEST(ClickLog, ABadLineInTheMiddleChangesNothing) {
-  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl", text = line("1") + "nonsense\n" + line("3");
+  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl",
+                    text = line("1") + "nonsense\n" + line("3");
   testing_room::plain_write(path, text);
   Diagnostics diagnostics;
   const std::string error = error_of([&] { (void)read_click_log(path, diagnostics); });
