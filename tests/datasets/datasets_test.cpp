@@ -303,20 +303,6 @@ TEST(Pack, WhatIsPackedIsMended) {
   EXPECT_EQ(a.far_m, b.far_m);
 }
 
-TEST(Inspect, TellsHowMuchIsMasked) {
-  LoadedScene scene;
-  FrameBuffer frame{.width_px = 4, .height_px = 2};
-  frame.rgb.assign(24, 9);
-  for (const char* name : {"a", "b"}) {
-    scene.info.frames.push_back({.name = name});
-    scene.frames.emplace_back(frame);
-    scene.class_pixels.emplace_back();
-    frame.used = {1, 1, 0, 1, 1, 0, 1, 1};
-  }
-  EXPECT_HAS(inspect_report(scene, {}), "masked      1 of 2 frames, 25.0 % of their pixels, most in 'b' (25.0 %)");
-  EXPECT_EQ(inspect_json(scene, {}, "")["masked"].dump(), "{\"b\":0.25}");
-}
-
 TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
   LoadedScene scene;
   const auto says = [&](const std::string& text) { return inspect_report(scene, {}).find(text) != std::string::npos; };
