@@ -26,7 +26,6 @@
 #include <string_view>
 #include <system_error>
 #include <thread>
-#include <tuple>
 #include <utility>
 
 #include "core/error.h"
@@ -119,12 +118,6 @@ std::string_view trimmed(std::string_view text) {
   return text;
 }
 
-bool has_word(std::string_view list, std::string_view word) {
-  const std::vector<std::string_view> items = parts_of(list, ',');
-  return std::any_of(items.begin(), items.end(),
-                     [&](std::string_view item) { return lower_case(std::string(trimmed(item))) == word; });
-}
-
 }  // namespace
 
 std::optional<std::string> HttpRequest::header(const std::string& name) const {
@@ -143,30 +136,7 @@ namespace {
 
 [[noreturn]] void refuse(int status, const char* complaint) { throw HttpRefusal{status, complaint}; }
 
-}  // namespace
-
-HttpRequest HttpReader::read_head() {
-  is_head_ = false;
-  std::size_t end = std::string::npos;
-  for (;;) {
-    while (unread_.starts_with(kLineEnd)) unread_.erase(0, kLineEnd.size());  // between requests
-    end = unread_.find("\r\n\r\n");
-    const std::size_t bare = unread_.find("\n\n"), ends = std::min(end, bare);
-    if (ends == std::string::npos ? unread_.size() > kMostHeadBytes + 3 : ends > kMostHeadBytes)
-      refuse(400, "the head of the request is too long");
-    if (bare < end) refuse(400, "a line of the head does not end as lines of HTTP do");
-    if (end != std::string::npos) break;
-    more_(unread_);
-  }
-  HttpRequest request;
-  const std::string head = unread_.substr(0, end + kLineEnd.size());
-  unread_.erase(0, end + 2 * kLineEnd.size());
-  parse_head(head, request);
-  read_framing(request);
-  return request;
-}
-
-void HttpReader::parse_head(std::string_view head, HttpRequest& request) {
+HttpRequest parsed_head(std::string_view head) {
   const auto line = [&] {
     const std::string_view text = head.substr(0, head.find(kLineEnd));
     head.remove_prefix(text.size() + kLineEnd.size());
@@ -179,9 +149,8 @@ void HttpReader::parse_head(std::string_view head, HttpRequest& request) {
   if (!is_token(first.substr(0, method)) || target.empty() || !std::all_of(target.begin(), target.end(), is_visible))
     refuse(400, "the first line of the request cannot be read");
   if (http != "HTTP/1.1" && http != "HTTP/1.0") refuse(400, "the request is not of HTTP/1.1");
-  keeps_ = http == "HTTP/1.1";
+  HttpRequest request;
   request.method = first.substr(0, method);
-  is_head_ = request.method == "HEAD";
   request.path = target.substr(0, target.find('?'));
   if (request.path.size() < target.size()) request.query = target.substr(request.path.size() + 1);
   while (!head.empty()) {
@@ -192,31 +161,46 @@ void HttpReader::parse_head(std::string_view head, HttpRequest& request) {
       refuse(400, "a header of the request cannot be read");
     request.headers.emplace_back(lower_case(std::string(text.substr(0, colon))), trimmed(text.substr(colon + 1)));
   }
+  return request;
 }
 
-void HttpReader::read_framing(const HttpRequest& request) {
-  const auto lengths = request.header_count("content-length"), codings = request.header_count("transfer-encoding");
+std::size_t body_length(const HttpRequest& head, std::size_t most_bytes) {
+  const auto lengths = head.header_count("content-length"), codings = head.header_count("transfer-encoding");
   if (lengths + codings > 1) refuse(400, "the request has two lengths");
-  for (const auto& [name, value] : request.headers)
-    if (name == "connection" && has_word(value, "close")) keeps_ = false;
-  expects_continue_ = lower_case(request.header("expect").value_or("")) == "100-continue";
   if (codings > 0) refuse(411, "a body needs its length: Content-Length");
-  length_ = 0;
-  if (lengths > 0) {
-    const std::string text = *request.header("content-length");
-    if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos)
-      refuse(400, "Content-Length is not a number of bytes");
-    const auto [end, cause] = std::from_chars(text.data(), text.data() + text.size(), length_);
-    if (cause != std::errc() || length_ > most_body_bytes_) refuse(413, "the body is too large");
+  if (lengths == 0) return 0;
+  const std::string text = *head.header("content-length");
+  if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos)
+    refuse(400, "Content-Length is not a number of bytes");
+  std::size_t length = 0;
+  const auto [end, cause] = std::from_chars(text.data(), text.data() + text.size(), length);
+  if (cause != std::errc() || length > most_bytes) refuse(413, "the body is too large");
+  return length;
+}
+
+}  // namespace
+
+HttpRequest HttpReader::read_head() {
+  std::size_t end = std::string::npos;
+  for (;;) {
+    end = unread_.find("\r\n\r\n");
+    const std::size_t bare = unread_.find("\n\n"), ends = std::min(end, bare);
+    if (ends == std::string::npos ? unread_.size() > kMostHeadBytes + 3 : ends > kMostHeadBytes)
+      refuse(400, "the head of the request is too long");
+    if (bare < end) refuse(400, "a line of the head does not end as lines of HTTP do");
+    if (end != std::string::npos) break;
+    more_(unread_);
   }
-  whole_ = length_ == 0;
+  const HttpRequest request = parsed_head(std::string_view(unread_).substr(0, end + kLineEnd.size()));
+  unread_.erase(0, end + 2 * kLineEnd.size());
+  length_ = body_length(request, most_body_bytes_);
+  expects_continue_ = length_ > 0 && lower_case(request.header("expect").value_or("")) == "100-continue";
+  return request;
 }
 
 void HttpReader::read_body(HttpRequest& request) {
   while (unread_.size() < length_) more_(unread_);
   request.body = unread_.substr(0, length_);
-  unread_.erase(0, length_);
-  whole_ = true;
 }
 
 namespace {
@@ -227,7 +211,7 @@ constexpr std::size_t kReadAtOnce = std::size_t{64} << 10;
 constexpr double kLeastBytesPerSecond = 20e3;
 constexpr auto kGrace = std::chrono::seconds(20);
 constexpr std::chrono::milliseconds kFarewell{1000};
-constexpr int kLinger_ms = 2000;  // for what a client still sends behind the request that ends its connection
+constexpr int kLinger_ms = 2000;  // for what a client still sends behind its request
 
 const char* reason(int status) {
   static const std::map<int, const char*> reasons{{200, "OK"},
@@ -244,14 +228,14 @@ const char* reason(int status) {
   return found == reasons.end() ? "Internal Server Error" : found->second;
 }
 
-std::string head_text(const HttpResponse& response, std::size_t bytes, bool keep) {
+std::string head_text(const HttpResponse& response, std::size_t bytes) {
   std::string head = fmt::format(
-      "HTTP/1.1 {} {}\r\nContent-Type: {}\r\nContent-Length: {}\r\nCache-Control: {}\r\nConnection: {}\r\n"
+      "HTTP/1.1 {} {}\r\nContent-Type: {}\r\nContent-Length: {}\r\nCache-Control: {}\r\nConnection: close\r\n"
       "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\n"
       "Cross-Origin-Resource-Policy: same-origin\r\n"
       "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri "
       "'none'; form-action 'none'\r\n",
-      response.status, reason(response.status), response.type, bytes, response.cache, keep ? "keep-alive" : "close");
+      response.status, reason(response.status), response.type, bytes, response.cache);
   if (!response.location.empty()) head += "Location: " + response.location + "\r\n";
   if (!response.allow.empty()) head += "Allow: " + response.allow + "\r\n";
   if (!response.download_name.empty())
@@ -286,16 +270,17 @@ bool send_all(int socket, std::string_view bytes, int still_ms, Clock::time_poin
 }  // namespace
 
 struct HttpServer::Impl : NonCopyable {
-  enum class At { idle, reading, answering, closing };
+  enum class At { reading, answering, closing };
 
-  // A connection and its thread: a request is read, its response made and sent, then the next one.
+  // A connection and its thread: a request is read, its response made and sent.
   struct Peer {
     Peer(int s, Clock::time_point until) : socket(s), deadline(until) {}
 
     const int socket;
-    At at = At::idle;  // with these two under the server's lock; the thread alone changes them
+    At at = At::reading;  // with these two under the server's lock; the thread alone changes them
     Clock::time_point deadline;
     bool ended = false;  // the socket is closed
+    bool says = false;   // some of the request has come
     std::thread thread{};
   };
 
@@ -323,9 +308,9 @@ struct HttpServer::Impl : NonCopyable {
   void forget_ended();
   void enter(Peer& peer, At at, int ms);
   void serve(Peer& peer);
-  bool serve_one(Peer& peer, HttpReader& reader);
+  void serve_one(Peer& peer);
   void receive(Peer& peer, std::string& unread);
-  bool respond(Peer& peer, HttpResponse response, bool keep, bool with_body = true);
+  void respond(Peer& peer, HttpResponse response, bool with_body = true);
 
   HttpOptions options;
   HttpHandler handler;
@@ -391,13 +376,12 @@ void HttpServer::Impl::forget_ended() {
   }
 }
 
-// Closes the connection that says nothing for the longest, or else that has not said all; false: there is none.
+// Closes the connection that has been waited for the longest; false: every one is answered.
 bool HttpServer::Impl::give_up_one(std::unique_lock<std::mutex>& lock) {
   Peer* given_up = nullptr;
   for (Peer& peer : peers) {
-    if (peer.ended || (peer.at != At::idle && peer.at != At::reading)) continue;
-    if (given_up == nullptr || std::tie(peer.at, peer.deadline) < std::tie(given_up->at, given_up->deadline))
-      given_up = &peer;
+    if (peer.ended || peer.at == At::answering) continue;
+    if (given_up == nullptr || peer.deadline < given_up->deadline) given_up = &peer;
   }
   if (given_up == nullptr) return false;
   shutdown(given_up->socket, SHUT_RDWR);
@@ -415,16 +399,11 @@ void HttpServer::Impl::enter(Peer& peer, At at, int ms) {
 }
 
 void HttpServer::Impl::serve(Peer& peer) {
-  HttpReader reader(options.most_body_bytes, [&](std::string& unread) { receive(peer, unread); });
-  const auto serves = [&] {
-    try {
-      return serve_one(peer, reader);
-    } catch (const HttpRefusal& refusal) {
-      return refusal.status != 0 &&
-             respond(peer, {refusal.status, "text/plain", refusal.complaint + "\n"}, false, !reader.is_head());
-    }
-  };
-  while (serves()) enter(peer, At::idle, options.head_ms);
+  try {
+    serve_one(peer);
+  } catch (const HttpRefusal& refusal) {
+    if (refusal.status != 0) respond(peer, {refusal.status, "text/plain", refusal.complaint + "\n"});
+  }
   const std::scoped_lock lock(mutex);
   close(peer.socket);
   peer.ended = true;
@@ -433,24 +412,24 @@ void HttpServer::Impl::serve(Peer& peer) {
 
 // Waits for bytes until the peer's deadline.
 void HttpServer::Impl::receive(Peer& peer, std::string& unread) {
-  if (peer.at == At::idle && !unread.empty()) enter(peer, At::reading, options.head_ms);
   std::array<char, kReadAtOnce> piece;
   ssize_t got = -1;
   while (got < 0) {
     if (Clock::now() > peer.deadline || !wait_for(peer.socket, POLLIN, peer.deadline))
-      throw HttpRefusal{peer.at == At::reading ? 408 : 0, "the request took too long"};
+      throw HttpRefusal{peer.says ? 408 : 0, "the request took too long"};
     got = recv(peer.socket, piece.data(), piece.size(), MSG_DONTWAIT);
     if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) throw HttpRefusal{};
   }
+  peer.says = true;
   unread.append(piece.data(), static_cast<std::size_t>(got));
 }
 
-// Whether the connection serves another request.
-bool HttpServer::Impl::serve_one(Peer& peer, HttpReader& reader) {
+void HttpServer::Impl::serve_one(Peer& peer) {
+  HttpReader reader(options.most_body_bytes, [&](std::string& unread) { receive(peer, unread); });
   HttpRequest request = reader.read_head();
-  const bool with_body = !reader.is_head();
+  const bool with_body = request.method != "HEAD";
   if (std::optional<HttpResponse> refusal = handler.refuse(request))
-    return respond(peer, std::move(*refusal), reader.keeps(), with_body);
+    return respond(peer, std::move(*refusal), with_body);
   enter(peer, At::reading, options.body_ms);
   constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
   if (reader.expects_continue())
@@ -458,7 +437,7 @@ bool HttpServer::Impl::serve_one(Peer& peer, HttpReader& reader) {
   reader.read_body(request);
   enter(peer, At::answering, 0);
   request.gone = [socket = peer.socket] { return wait_for(socket, POLLRDHUP, {}); };
-  if (request.abandoned()) return false;
+  if (request.abandoned()) return;
   {
     std::unique_lock lock(mutex);
     changed.wait(lock, [&] { return answering < options.responses; });
@@ -471,11 +450,11 @@ bool HttpServer::Impl::serve_one(Peer& peer, HttpReader& reader) {
     --answering;
     changed.notify_all();
   }
-  return response && respond(peer, std::move(*response), reader.keeps() && !stopping, with_body);
+  if (response) respond(peer, std::move(*response), with_body);
 }
 
-// Sends it; whether the connection serves another request. A file that cannot be read makes the response 404.
-bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep, bool with_body) {
+// A file that cannot be read makes the response 404.
+void HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool with_body) {
   enter(peer, At::answering, 0);
   std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(nullptr, std::fclose);
   if (!response.file.empty()) {
@@ -489,17 +468,16 @@ bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep, boo
   const Clock::time_point end = Clock::now() + kGrace +
                                 std::chrono::duration_cast<Clock::duration>(
                                     std::chrono::duration<double>(static_cast<double>(bytes) / kLeastBytesPerSecond));
-  if (!send_all(peer.socket, head_text(response, bytes, keep) + (with_body && !file ? response.body : ""),
-                options.head_ms, end))
-    return false;
+  if (!send_all(peer.socket, head_text(response, bytes) + (with_body && !file ? response.body : ""), options.head_ms,
+                end))
+    return;
   if (file) std::rewind(file.get());
   std::string piece(file && with_body ? std::min(bytes, kReadAtOnce) : 0, '\0');
   for (std::size_t left = file && with_body ? bytes : 0; left > 0; left -= piece.size()) {
     piece.resize(std::min(left, piece.size()));
-    if (std::fread(piece.data(), 1, piece.size(), file.get()) != piece.size()) return false;
-    if (!send_all(peer.socket, piece, options.head_ms, end)) return false;
+    if (std::fread(piece.data(), 1, piece.size(), file.get()) != piece.size()) return;
+    if (!send_all(peer.socket, piece, options.head_ms, end)) return;
   }
-  if (keep) return true;
   // Closed at once, what the client still sends would make the system drop the response.
   shutdown(peer.socket, SHUT_WR);
   enter(peer, At::closing, kLinger_ms);
@@ -507,7 +485,6 @@ bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep, boo
   while (Clock::now() < peer.deadline && wait_for(peer.socket, POLLIN, peer.deadline) &&
          recv(peer.socket, dropped.data(), dropped.size(), 0) > 0) {
   }
-  return false;
 }
 
 HttpServer::HttpServer(const HttpOptions& options, HttpHandler handler)

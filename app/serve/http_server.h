@@ -34,32 +34,25 @@ struct HttpRefusal {
   std::string complaint{};
 };
 
-/// The requests of one connection, HTTP/1.1 [RFC9112], read strictly: what two readers could understand in two ways,
-/// such as two lengths of a body, is refused. It never holds more than a head, a body and what came with them.
+/// The request of a connection, HTTP/1.1 [RFC9112], read strictly: what two readers could understand in two ways, such
+/// as two lengths of a body, is refused. It never holds more than a head, a body and what came with them.
 class HttpReader {
  public:
   /// `more` adds bytes that come to those that are not read yet, or throws HttpRefusal.
   HttpReader(std::size_t most_body_bytes, std::function<void(std::string& unread)> more)
       : most_body_bytes_(most_body_bytes), more_(std::move(more)) {}
 
-  /// The next request without its body, which read_body() brings. Both throw HttpRefusal.
+  /// The request without its body, which read_body() brings. Both throw HttpRefusal.
   HttpRequest read_head();
   void read_body(HttpRequest& request);
-  /// The request is read whole, and the connection may serve another one.
-  bool keeps() const { return keeps_ && whole_; }
   /// The client waits for "100 Continue" before it sends the body.
-  bool expects_continue() const { return expects_continue_ && !whole_; }
-  /// The answer has no body.
-  bool is_head() const { return is_head_; }
+  bool expects_continue() const { return expects_continue_; }
 
  private:
-  void parse_head(std::string_view head, HttpRequest& request);
-  void read_framing(const HttpRequest& request);
-
   std::size_t most_body_bytes_;
   std::function<void(std::string&)> more_;
   std::string unread_;
-  bool keeps_ = true, expects_continue_ = false, whole_ = false, is_head_ = false;
+  bool expects_continue_ = false;
   std::size_t length_ = 0;  // of the body
 };
 
@@ -88,13 +81,13 @@ struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
   int port = kUsualPort;              ///< a free_port()
   int responses = 64;                 ///< made at a time; other requests wait
-  std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
+  std::size_t connections = 512;      ///< with more, the one that has been waited for the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
-  int head_ms = 5000;   ///< for a head, for a connection without a request, and for a client that reads nothing
+  int head_ms = 5000;   ///< for a head, and for a client that reads nothing
   int body_ms = 10000;  ///< for a body
 };
 
-/// Each connection has a thread, so that one that is idle, slow or gone holds up nobody.
+/// A connection serves one request, in a thread of its own, so that one that is idle, slow or gone holds up nobody.
 class HttpServer : NonCopyable {
  public:
   /// Listens when it returns. Throws Error(unavailable).
