@@ -338,12 +338,11 @@ void print_labelling(Registry& registry, const TempDir& dir) {
   print("session/checkpoint", checkpoint_fingerprint(dir / "labelled", 100));
 #ifdef SEMFIELD_PAGE
   const std::vector<ClassState> classes{{0, 1, "wall", {200, 30, 30}}, {1, 2, "floor", {30, 200, 30}}};
-  for (const bool full : {false, true}) {
-    run.pictures().begin({.client = "golden", .view = 3, .color = full, .entropy = true, .full = full});
-    std::optional<Picture> picture;
-    while (!picture) picture = run.pictures().work(1e9);
-    picture->render_ms = 0;
-    print(full ? "session/page_picture" : "session/page_labels", crc(app::picture_bytes(*picture, classes)));
+  for (const bool color : {false, true}) {
+    Picture picture =
+        run.pictures().make({.client = "golden", .view = 3, .color = color, .entropy = true, .full = color});
+    picture.render_ms = 0;
+    print(color ? "session/page_picture" : "session/page_labels", crc(app::picture_bytes(picture, classes)));
   }
 #else
   std::printf("session/page_picture -\nsession/page_labels -\n");

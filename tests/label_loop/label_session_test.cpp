@@ -575,8 +575,7 @@ TEST_F(PlainSession, ViewsAreDrawnWhileItTrains) {
   run.apply({run.add("1", "wall"), run.click("2", 0, "wall", {24.5, 5.5})});
   run.start();
   const std::uint64_t overlay = run.settled()->overlay_revision;
-  PictureRequest view{.client = "a", .view = 3, .entropy = true};
-  const Picture labels = run.session.picture(view);
+  const Picture labels = run.session.picture({.client = "a", .view = 3, .entropy = true});
   EXPECT_FALSE(labels.stale);
   EXPECT_EQ(labels.label.size(), 48u * 36u);
   EXPECT_EQ(labels.entropy.size(), labels.label.size());
@@ -592,8 +591,6 @@ TEST_F(PlainSession, ViewsAreDrawnWhileItTrains) {
   double wrong = 0;
   for (std::size_t i = 0; i < seen.rgb.size(); ++i) wrong += std::abs(int{seen.rgb[i]} - int{photo.rgb[i]});
   EXPECT_LT(wrong / static_cast<double>(seen.rgb.size()), 40);
-  view.color = view.full = true;
-  EXPECT_EQ(run.session.picture(view).rgb.size(), 3u * 48 * 36);
 }
 
 TEST_F(PlainSession, ALaterRequestOfTheSameClientTakesThePlace) {
@@ -759,8 +756,7 @@ TEST_F(PreparedRun, WhatIsIgnoredIsNotAskedAbout) {
     run.take(annotations);
   }
   const auto labelled = [&](int view) {
-    run.pictures().begin([&] { return PictureRequest{.view = view}; }());
-    const Picture picture = *run.pictures().work(1e9);
+    const Picture picture = run.pictures().make({.view = view});
     return picture.label.size() -
            static_cast<std::size_t>(std::count(picture.label.begin(), picture.label.end(), kVoid));
   };
@@ -843,34 +839,23 @@ TEST_F(PreparedRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
   EXPECT_EQ(state().step, before + 2) << "a step at a time on a CPU";
 }
 
-// Pictures of views, made in pieces: their sizes, what they show, and requests that are refused.
+// Pictures of views: their sizes, what they show, and requests that are refused.
 
 struct PicturedRoom : ::testing::Test, LoopedRoom {
   explicit PicturedRoom(const std::string& scene = "analytic_room") : LoopedRoom(60, quick_options(), scene) {}
 
   ViewPictures pictures{*training, *loop};
-
-  Picture made(const PictureRequest& request, double budget_s = 1e9) {
-    pictures.begin(request);
-    std::optional<Picture> picture;
-    for (int turn = 0; !picture && turn < 1000; ++turn) picture = pictures.work(budget_s);
-    EXPECT_TRUE(picture.has_value());
-    return picture ? std::move(*picture) : Picture();
-  }
-  std::string refusal(const PictureRequest& request) {
-    return error_of(ErrorKind::usage, [&] { pictures.begin(request); });
-  }
 };
 
-// Too large for one piece.
+// Too large to be rendered soon, as far as is known at first.
 struct LargeRoom : PicturedRoom {
   LargeRoom() : PicturedRoom("analytic_room, width_px: 144, height_px: 108") {}
 };
 
 PictureRequest of_view(int view) { return PictureRequest{.view = view}; }
 
-PictureRequest whole_of_view(int view) {
-  return PictureRequest{.view = view, .color = true, .entropy = true, .full = true};
+PictureRequest rendered_view(int view, bool full = false) {
+  return PictureRequest{.view = view, .color = true, .entropy = true, .full = full};
 }
 
 void expect_whole(const Picture& picture, bool rgb, bool label, bool entropy) {
@@ -882,11 +867,11 @@ void expect_whole(const Picture& picture, bool rgb, bool label, bool entropy) {
 }
 
 TEST_F(PicturedRoom, AViewsLabelsAreThoseOfTheLoop) {
-  EXPECT_EQ(made(of_view(2)).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "nothing is learned";
+  EXPECT_EQ(pictures.make(of_view(2)).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "nothing is learned";
   loop->learn(clicks(8));
   PictureRequest request = of_view(2);
   request.entropy = true;
-  const Picture coarse = made(request);
+  const Picture coarse = pictures.make(request);
   EXPECT_EQ(coarse.width_px, 48);
   EXPECT_EQ(coarse.height_px, 36);
   expect_whole(coarse, false, true, true);
@@ -895,30 +880,26 @@ TEST_F(PicturedRoom, AViewsLabelsAreThoseOfTheLoop) {
   while (!pictures.refine(0.001)) {
   }
   const SurfaceMap fine = loop->map_of(2, 1);
-  EXPECT_EQ(made(request).label, loop->labels_of(2, &fine).label) << "its own surface is finer";
+  EXPECT_EQ(pictures.make(request).label, loop->labels_of(2, &fine).label) << "its own surface is finer";
   EXPECT_FALSE(pictures.refine(1)) << "it is complete";
   request.labels = false;
-  expect_whole(made(request), false, false, true);
+  expect_whole(pictures.make(request), false, false, true);
 }
 
-TEST_F(LargeRoom, AViewIsRenderedInPieces) {
+TEST_F(LargeRoom, AViewIsRenderedAsLargeAsItCanBeSoon) {
   loop->learn(clicks(8));
-  const Picture whole = made(whole_of_view(1));
-  EXPECT_EQ(whole.width_px, 144);
-  EXPECT_EQ(whole.height_px, 108);
-  expect_whole(whole, true, true, true);
-  const Picture pieces = made(whole_of_view(1), 0);
-  EXPECT_EQ(pieces.rgb, whole.rgb);
-  EXPECT_EQ(pieces.label, whole.label);
-  EXPECT_EQ(pieces.entropy, whole.entropy);
-  const auto named = std::count_if(whole.label.begin(), whole.label.end(), [](std::int16_t l) { return l >= 0; });
-  EXPECT_GT(named, 144 * 108 / 2);
-  PictureRequest request = whole_of_view(1);
-  request.full = false;
-  const Picture quick = made(request);  // as large as can be had soon
-  EXPECT_LE(quick.width_px, 144);
+  const Picture quick = pictures.make(rendered_view(1));
+  EXPECT_LT(quick.width_px, 144);
   EXPECT_GE(quick.width_px, 48);
   expect_whole(quick, true, true, true);
+  const auto named = std::count_if(quick.label.begin(), quick.label.end(), [](std::int16_t l) { return l >= 0; });
+  EXPECT_GT(named, quick.width_px * quick.height_px / 2);
+  const Picture full = pictures.make(rendered_view(1, true));
+  EXPECT_EQ(full.width_px, 144);
+  EXPECT_EQ(full.height_px, 108);
+  expect_whole(full, true, true, true);
+  loop->learn({});
+  expect_whole(pictures.make(rendered_view(1)), true, false, false);
 }
 
 TEST_F(LargeRoom, ClicksOfOtherViewsAreInPixelsOfThePicture) {
@@ -928,14 +909,11 @@ TEST_F(LargeRoom, ClicksOfOtherViewsAreInPixelsOfThePicture) {
       marks.push_back(
           {std::to_string(x) + "_" + std::to_string(y), loop->views()[2].frame, {{x + 0.5, y + 0.5}}, 0, 0});
   pictures.set_marks(marks);
-  PictureRequest request = whole_of_view(1);
-  request.full = false;
-  const Picture quick = made(request);  // the first: what is affordable is not measured yet
+  const Picture quick = pictures.make(rendered_view(1));
   ASSERT_LT(quick.width_px, 144);
-  const Picture whole = made(whole_of_view(1)), at_hand = made(of_view(1));
+  const Picture whole = pictures.make(of_view(1));
   ASSERT_FALSE(whole.seen.empty());
   ASSERT_EQ(quick.seen.size(), whole.seen.size());
-  EXPECT_EQ(at_hand.seen.size(), whole.seen.size());
   for (std::size_t i = 0; i < whole.seen.size(); ++i)
     EXPECT_NEAR(quick.seen[i].points[0].x * 144 / quick.width_px, whole.seen[i].points[0].x, 1e-9);
 }
@@ -950,13 +928,11 @@ TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
     for (const SeenMark& mark : picture.seen) out += mark.id + " ";
     return out;
   };
-  EXPECT_LACKS(ids(made(of_view(2))), "other") << "a view's own clicks are in the state";
-  EXPECT_LACKS(ids(made(of_view(1))), "own");
+  EXPECT_LACKS(ids(pictures.make(of_view(2))), "other") << "a view's own clicks are in the state";
+  EXPECT_LACKS(ids(pictures.make(of_view(1))), "own");
   // Rendered or not, and whatever the size: in pixels of the picture.
-  for (const bool full : {false, true}) {
-    PictureRequest request = of_view(1);
-    request.color = request.full = full;
-    const Picture picture = made(request);
+  for (const bool color : {false, true}) {
+    const Picture picture = pictures.make({.view = 1, .color = color});
     EXPECT_LACKS(ids(picture), "own");
     for (const SeenMark& mark : picture.seen)
       for (const PixelPoint& p : mark.points) {
@@ -968,24 +944,9 @@ TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
 }
 
 TEST_F(PicturedRoom, WrongRequestsAreRefusedWithASentence) {
-  EXPECT_HAS(refusal(of_view(static_cast<int>(loop->views().size()))), "view 9 is none of the 9");
-  EXPECT_HAS(refusal(of_view(-1)), "view -1 is none of the 9");
-  EXPECT_FALSE(pictures.work(1).has_value()) << "nothing is under way";
-}
-
-// The first click, or the last undo, may come while rows of a picture are made.
-TEST_F(LargeRoom, APictureIsWholeWhateverIsLearnedMeanwhile) {
-  for (const bool click : {true, false}) {
-    pictures.begin(whole_of_view(1));
-    ASSERT_FALSE(pictures.work(0).has_value()) << "some rows are left";
-    loop->learn(click ? clicks(6) : std::vector<LabelledPixels>());
-    std::optional<Picture> picture;
-    while (!picture) picture = pictures.work(1e9);
-    const auto pixels = static_cast<std::size_t>(picture->width_px * picture->height_px);
-    EXPECT_EQ(picture->rgb.size(), 3 * pixels);
-    EXPECT_TRUE(picture->label.empty() || picture->label.size() == pixels) << picture->label.size();
-    EXPECT_TRUE(picture->entropy.empty() || picture->entropy.size() == pixels) << picture->entropy.size();
-  }
+  for (const int view : {-1, 9})
+    EXPECT_HAS(error_of(ErrorKind::usage, [&] { (void)pictures.make(of_view(view)); }),
+               "view " + std::to_string(view) + " is none of the 9");
 }
 
 }  // namespace

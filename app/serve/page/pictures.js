@@ -72,7 +72,7 @@ export class Pictures {
     return entry;
   }
 
-  /// {labels, entropy, color, revision, full...} of the view, or null; older than the newest while that is fetched.
+  /// {labels, entropy, color, revision...} of the view, or null; older than the newest while that is fetched.
   overlay(view) { return this.overlays.get(view) ?? null; }
 
   /// Everything may be another: the program was started anew.
@@ -91,7 +91,7 @@ export class Pictures {
     const key = `${view} ${entropy} ${needsColor} ${revision}`;
     if (this.wished === key) return;
     this.wished = key;
-    this.next = {key, request: {client: this.client, view, labels: true, entropy, color: needsColor, full: false}};
+    this.next = {key, request: {client: this.client, view, labels: true, entropy, color: needsColor}};
     if (!this.isAsking) this.ask();
   }
 

@@ -369,7 +369,7 @@ class Noting final : public RunListener {
 };
 
 LabelledRun open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                         RunListener* listener) {
+                           RunListener* listener) {
   TrainRequest request;
   request.driver = Driver::page;
   request.out_dir = options.run_dir;
@@ -625,28 +625,13 @@ void LabelSession::serve_orders() {
   std::uint64_t overlay = 0;
   {
     const std::lock_guard lock(mutex_);
-    for (const bool full : {false, true}) {  // what comes quickly does not wait for what takes long
-      const auto first = std::find_if(orders_.begin(), orders_.end(),
-                                      [&](const auto& o) { return !o->done() && o->request.full == full; });
-      if (order == nullptr && first != orders_.end()) order = *first;
-    }
-    if (order == nullptr) return;
+    const auto first = std::find_if(orders_.begin(), orders_.end(), [](const auto& o) { return !o->done(); });
+    if (first == orders_.end()) return;
+    order = *first;
     overlay = state_->overlay_revision;
   }
   std::optional<Picture> made;
-  std::optional<Error> error = error_of([&] {
-    pictures_.begin(order->request);
-    made = pictures_.work(kTurn_s);
-  });
-  while (!made && !error) {
-    {
-      const std::lock_guard lock(mutex_);
-      if (order->done() || stopping_) return;
-    }
-    attempt([&] { take_events(); });  // a click does not wait for a large picture
-    if (!failure_) attempt([&] { (void)train(kTurn_s); });
-    error = error_of([&] { made = pictures_.work(kTurn_s); });
-  }
+  std::optional<Error> error = error_of([&] { made = pictures_.make(order->request); });
   if (made) made->overlay_revision = overlay;
   const std::lock_guard lock(mutex_);
   if (order->done()) return;

@@ -37,8 +37,8 @@ class LabelSource {
   /// The state once its revision is above `after`, or after `most` as it is then.
   virtual std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const = 0;
   /// Waits for the thread that trains, until `abandoned` (checked several times per second) says that nobody wants the
-  /// picture any more. Quick pictures come before those of PictureRequest::full; of more than 16 that wait the oldest
-  /// is stale. Throws Error for a request that is wrong or a training that has failed.
+  /// picture any more. Of more than 16 that wait the oldest is stale. Throws Error for a request that is wrong or a
+  /// training that has failed.
   virtual Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {}) = 0;
   /// Photograph of a view as its file has it, or the one that trains where that is at least `most_px` long (0: as long
   /// as there is). Throws what the dataset throws, and Error(data) where the files are no longer those that were

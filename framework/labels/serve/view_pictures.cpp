@@ -25,9 +25,6 @@ constexpr double kFinePixels = 100'000;  // of a view's own surface: more would 
 constexpr double kQuickPicture_s = 0.15;
 constexpr double kLeastRays = 48.0 * 48;  // of a picture
 
-// Made without rendering a picture.
-bool is_at_hand(const PictureRequest& request) { return !request.color && !request.full; }
-
 std::int32_t fine_stride(const Camera& camera) {
   const double pixels = static_cast<double>(camera.width_px) * camera.height_px;
   return std::max(1, static_cast<std::int32_t>(std::ceil(std::sqrt(pixels / kFinePixels))));
@@ -37,54 +34,15 @@ std::int32_t fine_stride(const Camera& camera) {
 
 ViewPictures::ViewPictures(Trainer& training, LabelLoop& loop) : training_(training), loop_(loop) {}
 
-void ViewPictures::begin(const PictureRequest& request) {
-  request_.reset();
+Picture ViewPictures::make(const PictureRequest& request) {
   if (request.view < 0 || request.view >= std::ssize(loop_.views()))
     throw Error(ErrorKind::usage, "serve.picture.request",
                 fmt::format("picture: view {} is none of the {}", request.view, loop_.views().size()),
                 fmt::format("name one from 0 to {}", loop_.views().size() - 1));
-  camera_ = loop_.view(request.view).camera;
-  picture_ = {};
-  rows_done_ = 0;
-  spent_s_ = 0;
-  shows_labels_ = training_.session().pipeline->has_semantics() && loop_.learned();
-  request_ = request;
-  if (is_at_hand(request)) return;
-  Camera& camera = camera_.camera;
-  if (!request.full) {  // small enough to be there soon
-    const double rays = static_cast<double>(camera.width_px) * camera.height_px,
-                 affordable = std::max(rays_per_s_ * kQuickPicture_s, kLeastRays);
-    if (rays > affordable) {
-      const double scale = std::sqrt(affordable / rays);
-      camera = camera.resized(std::max(1, static_cast<std::int32_t>(camera.width_px * scale)),
-                              std::max(1, static_cast<std::int32_t>(camera.height_px * scale)));
-    }
-  }
-  picture_.width_px = camera.width_px;
-  picture_.height_px = camera.height_px;
-}
-
-std::optional<Picture> ViewPictures::work(double budget_s) {
-  if (!request_) return std::nullopt;
-  if (is_at_hand(*request_)) {
-    const Clock::time_point start = Clock::now();
-    Picture made = labels_of_view(*request_);
-    made.render_ms = 1e3 * seconds_since(start);
-    request_.reset();
-    return made;
-  }
-  render_rows(budget_s);
-  if (rows_done_ < picture_.height_px) return std::nullopt;
-  if (request_->labels) {
-    const Camera& camera = loop_.view(request_->view).camera.camera;
-    picture_.seen = seen_by(request_->view, loop_.view(request_->view).map);
-    for (SeenMark& mark : picture_.seen)
-      for (PixelPoint& p : mark.points)
-        p = {p.x * picture_.width_px / camera.width_px, p.y * picture_.height_px / camera.height_px};
-  }
-  picture_.render_ms = 1e3 * spent_s_;
-  request_.reset();
-  return std::move(picture_);
+  const Clock::time_point start = Clock::now();
+  Picture made = request.color || request.full ? rendered(request) : labels_of_view(request);
+  made.render_ms = 1e3 * seconds_since(start);
+  return made;
 }
 
 Picture ViewPictures::labels_of_view(const PictureRequest& request) {
@@ -145,37 +103,47 @@ bool ViewPictures::refine(double budget_s) {
   return true;
 }
 
-void ViewPictures::render_rows(double budget_s) {
-  const Clock::time_point start = Clock::now();
+Picture ViewPictures::rendered(const PictureRequest& request) {
   const Session& session = training_.session();
-  const std::int32_t width = picture_.width_px, height = picture_.height_px;
-  const double most = loop_.most_entropy();
-  std::vector<bool> live(static_cast<std::size_t>(std::max(session.classes(), 1)), false);
+  const PoolView& view = loop_.view(request.view);
+  RayCamera seen_from = view.camera;
+  Camera& camera = seen_from.camera;
+  const auto rays = [&] { return static_cast<double>(camera.width_px) * camera.height_px; };
+  if (const double affordable = std::max(rays_per_s_ * kQuickPicture_s, kLeastRays);
+      !request.full && rays() > affordable) {
+    const double scale = std::sqrt(affordable / rays());
+    camera = camera.resized(std::max(1, static_cast<std::int32_t>(camera.width_px * scale)),
+                            std::max(1, static_cast<std::int32_t>(camera.height_px * scale)));
+  }
+  const Clock::time_point begun = Clock::now();
+  const RenderedFrame frame = render_frame(*session.pipeline, seen_from, session.limits, session.plan.class_of_logit);
+  rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays() / std::max(seconds_since(begun), 1e-6);
+  Picture picture;
+  picture.width_px = camera.width_px;
+  picture.height_px = camera.height_px;
+  for (const float value : request.color ? frame.rgb : std::vector<float>())
+    picture.rgb.push_back(static_cast<std::uint8_t>(std::lround(value * 255)));
+  if (request.labels) {
+    picture.seen = seen_by(request.view, view.map);
+    for (SeenMark& mark : picture.seen)
+      for (PixelPoint& p : mark.points)
+        p = {p.x * camera.width_px / view.camera.camera.width_px,
+             p.y * camera.height_px / view.camera.camera.height_px};
+  }
+  if (!session.pipeline->has_semantics() || !loop_.learned()) return picture;
+  std::vector<bool> live(static_cast<std::size_t>(session.classes()), false);
   for (std::size_t l = 0; l < loop_.live().size(); ++l)
     if (loop_.live()[l]) live[static_cast<std::size_t>(session.plan.class_of_logit[l])] = true;
-  const auto rows_at_once =
-      static_cast<std::int32_t>(std::clamp(rays_per_s_ * 0.04 / std::max(width, 1), 1.0, static_cast<double>(height)));
-  do {  // at least a piece, however little time there is
-    RayCamera band = camera_;
-    band.camera.height_px = std::min(rows_at_once, height - rows_done_);
-    band.camera.cy -= rows_done_;
-    const Clock::time_point begun = Clock::now();
-    const RenderedFrame frame = render_frame(*session.pipeline, band, session.limits, session.plan.class_of_logit);
-    const double rays = static_cast<double>(width) * band.camera.height_px;
-    rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays / std::max(seconds_since(begun), 1e-6);
-    if (request_->color)
-      for (const float value : frame.rgb) picture_.rgb.push_back(static_cast<std::uint8_t>(std::lround(value * 255)));
-    for (std::size_t i = 0; shows_labels_ && i < frame.label.size(); ++i) {
-      const std::int16_t label = frame.label[i];
-      const bool known = label >= 0 && live[static_cast<std::size_t>(label)] && frame.opacity[i] >= kSurfaceOpacity;
-      if (request_->labels) picture_.label.push_back(known ? label : kVoid);
-      if (request_->entropy)
-        picture_.entropy.push_back(static_cast<std::uint8_t>(
-            std::lround(255 * std::clamp(static_cast<double>(frame.entropy[i]) / most, 0.0, 1.0))));
-    }
-    rows_done_ += band.camera.height_px;
-  } while (rows_done_ < height && seconds_since(start) < budget_s);
-  spent_s_ += seconds_since(start);
+  const double most = loop_.most_entropy();
+  for (std::size_t i = 0; i < frame.label.size(); ++i) {
+    const std::int16_t label = frame.label[i];
+    const bool known = label >= 0 && live[static_cast<std::size_t>(label)] && frame.opacity[i] >= kSurfaceOpacity;
+    if (request.labels) picture.label.push_back(known ? label : kVoid);
+    if (request.entropy)
+      picture.entropy.push_back(static_cast<std::uint8_t>(
+          std::lround(255 * std::clamp(static_cast<double>(frame.entropy[i]) / most, 0.0, 1.0))));
+  }
+  return picture;
 }
 
 namespace {

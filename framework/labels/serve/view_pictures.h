@@ -1,4 +1,4 @@
-// Pictures for whoever looks: labels of views from their surfaces, or rendered, in pieces between steps.
+// Pictures for whoever looks: labels of views from their surfaces, or rendered, between steps.
 #pragma once
 
 #include <cstdint>
@@ -33,10 +33,9 @@ class ViewPictures {
  public:
   ViewPictures(Trainer& training, LabelLoop& loop);
 
-  /// Begins a picture; what was under way is forgotten. Throws Error(usage) for a view that is not there.
-  void begin(const PictureRequest& request);
-  /// Works on it for about this long; the picture once it is done.
-  std::optional<Picture> work(double budget_s);
+  /// Labels of the view's surface at its own size; with colour it is rendered, as large as it can be soon, and
+  /// `full` whole, however long that takes. Throws Error(usage) for a view that is not there.
+  Picture make(const PictureRequest& request);
 
   /// Clicks that pictures of other views show.
   void set_marks(std::vector<Annotations::Mark> marks) { marks_ = std::move(marks); }
@@ -56,19 +55,13 @@ class ViewPictures {
   std::vector<SeenMark> seen_by(int view, const SurfaceMap& map) const;
   // How far from the surface what lies on it may seem to be.
   double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
-  void render_rows(double budget_s);
+  Picture rendered(const PictureRequest& request);
 
   Trainer& training_;
   LabelLoop& loop_;
   std::vector<Fine> fine_;  // the one looked at last comes first
   double rays_per_s_ = 60'000;
-  std::optional<PictureRequest> request_;
-  RayCamera camera_;
-  Picture picture_;
-  std::int32_t rows_done_ = 0;
   std::vector<Annotations::Mark> marks_;
-  bool shows_labels_ = false;  // something was learned when it began; all of its rows have labels, or none
-  double spent_s_ = 0;
 };
 
 // Labels of every s-th pixel of a view, brought to its full size along the edges of the photograph, or to the size
