@@ -64,12 +64,11 @@ int Annotations::resolve_class(const LabelEvent& event, const std::string& name)
   }
   const ClassNames names(named_table());
   if (names.find(name) == kVoid) return kVoid;
-  for (auto end = ends_.rbegin(); end != ends_.rend(); ++end) {
-    const Record& record = records_[static_cast<std::size_t>(*end)];
-    if (!record.in_force || record.event.class_name != name) continue;
-    const bool merged = record.event.kind == LabelEventKind::merge_class;
+  for (auto end = records_.rbegin(); end != records_.rend(); ++end) {
+    if (!end->in_force || !ends_a_class(end->event.kind) || end->event.class_name != name) continue;
+    const bool merged = end->event.kind == LabelEventKind::merge_class;
     refuse("labels.class.unknown", event, "no class '" + name + "' any more",
-           merged ? "it was merged into '" + record.event.new_name + "'" : "it was deleted");
+           merged ? "it was merged into '" + end->event.new_name + "'" : "it was deleted");
   }
   refuse("labels.class.unknown", event, "no class '" + name + "'", names.remedy_for(name));
 }
@@ -128,21 +127,24 @@ Annotations::Turned Annotations::turned_by(int of) const {
   return turned;
 }
 
-std::optional<int> Annotations::class_now(int record) const {
-  int c = records_[static_cast<std::size_t>(record)].class_index;
-  for (auto end = std::upper_bound(ends_.begin(), ends_.end(), record); end != ends_.end(); ++end) {
-    const Record& e = records_[static_cast<std::size_t>(*end)];
-    if (!e.in_force || e.class_index != c) continue;
-    if (e.event.kind == LabelEventKind::delete_class) return std::nullopt;
-    c = e.into;
+std::vector<std::optional<int>> Annotations::classes_now() const {
+  std::vector<std::optional<int>> of(records_.size()), now;
+  for (int c = 0; c < named_classes(); ++c) now.emplace_back(c);
+  for (std::size_t r = records_.size(); r-- > 0;) {
+    const Record& record = records_[r];
+    const auto c = static_cast<std::size_t>(record.class_index);
+    if (record.event.kind == LabelEventKind::click) of[r] = record.class_index < 0 ? kVoid : now[c];
+    if (!record.in_force || !ends_a_class(record.event.kind)) continue;
+    now[c] = record.into < 0 ? std::nullopt : now[static_cast<std::size_t>(record.into)];
   }
-  return c;
+  return of;
 }
 
 const Annotations::Record* Annotations::end_of_class(int added) const {
-  for (auto end = ends_.rbegin(); end != ends_.rend() && *end > added; ++end) {
-    const Record& e = records_[static_cast<std::size_t>(*end)];
-    if (e.in_force && (e.class_record == added || e.into_record == added)) return &e;
+  for (auto r = std::ssize(records_) - 1; r > added; --r) {
+    const Record& e = records_[static_cast<std::size_t>(r)];
+    const bool is_its_end = e.class_record == added || e.into_record == added;
+    if (e.in_force && ends_a_class(e.event.kind) && is_its_end) return &e;
   }
   return nullptr;
 }
@@ -158,7 +160,7 @@ void Annotations::check_undo(const LabelEvent& event) const {
   if (record.event.kind == LabelEventKind::skip) return;
   if (record.event.kind != LabelEventKind::click) return check_class_undo(event, turned);
   if (!turned.in_force) return;
-  const bool is_deleted = !class_now(last).has_value();
+  const bool is_deleted = !classes_now()[static_cast<std::size_t>(last)].has_value();
   if (is_deleted || !has_its_class(record))
     refuse("labels.event.undo", event,
            "the class '" + record.event.class_name + "' of this click is " + (is_deleted ? "deleted" : "undone"),
@@ -172,8 +174,9 @@ void Annotations::check_class_undo(const LabelEvent& event, const Turned& turned
     if (const Record* const end = end_of_class(turned.records.back()))
       refuse("labels.event.undo", event, "the class '" + last.event.class_name + "' was merged or deleted since",
              "undo event '" + end->event.id + "' first");
-    const auto uses = [&](const Mark& mark) { return mark.class_index == last.class_index; };
-    const auto clicks = std::count_if(marks().begin(), marks().end(), uses);
+    const std::vector<std::optional<int>> classes = classes_now();
+    std::int64_t clicks = 0;
+    for (std::size_t r = 0; r < records_.size(); ++r) clicks += records_[r].in_force && classes[r] == last.class_index;
     if (clicks > 0) {
       refuse("labels.event.undo", event,
              "the class '" + named_[c]->name + "' has " + std::to_string(clicks) + " clicks", "undo its clicks first");
@@ -266,57 +269,43 @@ bool Annotations::check(const LabelEvent& event) const {
 }
 
 bool Annotations::apply(const LabelEvent& event) {
+  if (!enter(event)) return false;
+  list_marks();
+  return true;
+}
+
+bool Annotations::enter(const LabelEvent& event) {
   if (seen(event.id)) return false;
   records_.push_back(resolve(event));
-  const auto last = static_cast<int>(records_.size()) - 1;
-  record_of_.emplace(event.id, last);
-  int changed = last;
+  record_of_.emplace(event.id, static_cast<int>(records_.size()) - 1);
+  LabelEventKind changed = event.kind;
   if (event.kind == LabelEventKind::undo) {
-    const Turned turned = turned_by(records_.back().of);
-    for (const int r : turned.records) {
-      bool& in_force = records_[static_cast<std::size_t>(r)].in_force;
-      in_force = !in_force;
+    for (const int r : turned_by(records_.back().of).records) {
+      Record& record = records_[static_cast<std::size_t>(r)];
+      record.in_force = !record.in_force;
+      changed = record.event.kind;
     }
-    changed = turned.records.back();
   }
-  if (ends_a_class(event.kind)) ends_.push_back(last);
-  const Record& record = records_[static_cast<std::size_t>(changed)];
-  if (record.event.kind == LabelEventKind::click || record.event.kind == LabelEventKind::skip) {
-    put_mark(changed, record.in_force);
-  } else {
-    if (event.kind == LabelEventKind::add_class && record.class_index == named_classes()) named_.emplace_back();
+  if (changed != LabelEventKind::click && changed != LabelEventKind::skip) {
+    if (event.kind == LabelEventKind::add_class && records_.back().class_index == named_classes())
+      named_.emplace_back();
     list_classes();
-    if (ends_a_class(record.event.kind)) list_marks();
   }
   known_.add(event);
   return true;
 }
 
-// In its place by the order of events, or out of the list.
-void Annotations::put_mark(int record, bool in_force) {
-  const Record& of = records_[static_cast<std::size_t>(record)];
-  Marks& marks = of.event.kind == LabelEventKind::click ? marks_ : skips_;
-  const auto at = std::lower_bound(marks.records.begin(), marks.records.end(), record);
-  const auto place = at - marks.records.begin();
-  const bool is_listed = at != marks.records.end() && *at == record;
-  const std::optional<int> c = class_now(record);
-  if (in_force && c && !is_listed) {
-    const int frame = frame_of_.at(of.event.frame);
-    const Camera& camera = frames_[static_cast<std::size_t>(frame)].camera;
-    marks.list.insert(marks.list.begin() + place, mark_of(of.event, frame, camera, *c));
-    marks.records.insert(at, record);
-  } else if (!in_force && is_listed) {
-    marks.list.erase(marks.list.begin() + place);
-    marks.records.erase(at);
-  }
-}
-
-// Clicks anew: their classes were merged or deleted, or are no longer so.
 void Annotations::list_marks() {
-  marks_ = {};
-  for (int r = 0; r < static_cast<int>(records_.size()); ++r) {
-    const Record& record = records_[static_cast<std::size_t>(r)];
-    if (record.in_force && record.event.kind == LabelEventKind::click) put_mark(r, true);
+  marks_.clear();
+  skips_.clear();
+  const std::vector<std::optional<int>> classes = classes_now();
+  for (std::size_t r = 0; r < records_.size(); ++r) {
+    const LabelEvent& event = records_[r].event;
+    const bool is_skip = event.kind == LabelEventKind::skip;
+    if (!records_[r].in_force || (!classes[r] && !is_skip)) continue;
+    const int frame = frame_of_.at(event.frame);
+    const Camera& camera = frames_[static_cast<std::size_t>(frame)].camera;
+    (is_skip ? skips_ : marks_).push_back(mark_of(event, frame, camera, classes[r].value_or(kVoid)));
   }
 }
 
@@ -377,7 +366,7 @@ Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEven
   for (std::size_t i = 0; i < events.size(); ++i) {
     try {
       if (!sum.has_room() && events[i].kind == LabelEventKind::add_class) return replay(scene, all, events, name);
-      sum.apply(events[i]);
+      sum.enter(events[i]);
     } catch (const Error& e) {
       const bool adds = events[i].kind == LabelEventKind::add_class;
       throw Error(e.kind(), e.code(), name + ":" + std::to_string(i + 1) + ": " + e.message(),
@@ -386,6 +375,7 @@ Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEven
                                        : e.remedy());
     }
   }
+  sum.list_marks();
   return sum;
 }
 

@@ -41,8 +41,8 @@ class Annotations {
     bool fill = false;        ///< the points are a closed outline
     std::int32_t object = 0;  ///< LabelEvent::object
   };
-  const std::vector<Mark>& marks() const { return marks_.list; }  ///< clicks in force, in the order of their events
-  const std::vector<Mark>& skips() const { return skips_.list; }
+  const std::vector<Mark>& marks() const { return marks_; }  ///< clicks in force, in the order of their events
+  const std::vector<Mark>& skips() const { return skips_; }
 
   /// As many valid classes as there is room for: the scene's, the added ones, then "unnamed ID". A class keeps index
   /// and id; one that is undone, merged or deleted is called "unnamed ID" and keeps its place until every place has
@@ -71,6 +71,11 @@ class Annotations {
   bool seen(const std::string& id) const { return record_of_.contains(id); }
   /// The events applied.
   const EventsKnown& known() const { return known_; }
+
+  /// What `events` add up to; event i stood in line i + 1 of `name`, which errors name. Where `room` is 0 there is room
+  /// for all classes that they add, one place each; else for `room`, and for more only where events need more.
+  friend Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events,
+                            const std::string& name);
 
  private:
   struct Record {
@@ -114,13 +119,14 @@ class Annotations {
   Turned turned_by(int of) const;
   void check_undo(const LabelEvent& event) const;
   void check_class_undo(const LabelEvent& event, const Turned& turned) const;
-  // The class of a click after later merges; nothing where it was deleted.
-  std::optional<int> class_now(int record) const;
+  // apply() without listing the marks anew.
+  bool enter(const LabelEvent& event);
+  // Of each record that is a click: its class after later merges, nothing where that was deleted.
+  std::vector<std::optional<int>> classes_now() const;
   // The last merge or deletion in force that concerns the class which a record added; null: none.
   const Record* end_of_class(int added) const;
   std::vector<std::optional<Naming>> namings(int turned = -1) const;
   void paint_marks(int frame, LabelRaster& raster) const;
-  void put_mark(int record, bool in_force);
   void list_marks();
   void list_classes();
 
@@ -131,12 +137,8 @@ class Annotations {
   int own_classes_ = 0;
   std::vector<Record> records_;
   std::map<std::string, int> record_of_;
-  std::vector<int> ends_;                     // records of merges and deletions, ascending
   std::vector<std::optional<Naming>> named_;  // of the places taken; nullopt: its event is undone
-  struct Marks {
-    std::vector<Mark> list;
-    std::vector<int> records;  // of each, ascending
-  } marks_, skips_;
+  std::vector<Mark> marks_, skips_;
   ClassTable classes_;
   EventsKnown known_;
 };
@@ -145,8 +147,6 @@ class Annotations {
 /// no pixel's centre), or those of stroke_runs.
 std::vector<PixelRun> runs_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px);
 
-/// What `events` add up to; event i stood in line i + 1 of `name`, which errors name. Where `room` is 0 there is room
-/// for all classes that they add, one place each; else for `room`, and for more only where events need more.
 Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEvent>& events, const std::string& name);
 
 // What a labelling session leaves in its run's folder for the report: its classes, its clicks and the frames to show.
