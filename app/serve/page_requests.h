@@ -13,7 +13,7 @@
 #include "app/json_output.h"
 #include "core/error.h"
 #include "eval/evaluator.h"
-#include "labels/serve/label_loop.h"
+#include "labels/serve/view_pictures.h"
 #include "labels/strict_json.h"
 #include "scene/camera.h"
 

@@ -16,8 +16,6 @@
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
 #include "core/non_copyable.h"
-#include "formats/image_io.h"
-#include "labels/serve/label_loop.h"
 #include "labels/serve/label_session.h"
 
 namespace semfield::app {
@@ -165,24 +163,5 @@ class PageServer : NonCopyable {
   News news_;
   PageHost host_;  // last: it answers by all of these
 };
-
-// Pictures of responses.
-
-inline constexpr int kMostPageClasses = 255;  ///< a palette has an entry for each and one for none
-
-/// Class indices as a palette PNG: entry index + 1 has the class's colour, entry 0 is transparent and means none.
-std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
-                                    const std::vector<ClassState>& classes);
-
-/// The response to a request for a picture, as joined_parts: JSON of its facts, then JPEG, PNG of labels and PNG of
-/// entropy, which are empty where there is none.
-std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes);
-
-/// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.
-std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px);
-
-/// JPEG by TurboJPEG. `rgb`: [height * width * 3]. Throws Error(internal) where TurboJPEG refuses.
-std::vector<std::uint8_t> encode_jpeg(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> rgb,
-                                      int quality = 85);
 
 }  // namespace semfield::app

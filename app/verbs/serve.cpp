@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "app/child_process.h"
-#include "app/serve/page_requests.h"
+#include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
 #include "app/signals.h"
 #include "app/terminal.h"

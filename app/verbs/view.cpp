@@ -22,6 +22,7 @@
 #include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
+#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "app/serve/page_server.h"
 #include "app/signals.h"
@@ -30,7 +31,6 @@
 #include "eval/field_points.h"
 #include "eval/image_output.h"
 #include "eval/report/report.h"
-#include "labels/serve/label_loop.h"
 #include "train/opened_run.h"
 #include "train/run_folder.h"
 

@@ -20,7 +20,7 @@
 #include "train/run_folder.h"
 #include "train/trainer.h"
 #ifdef SEMFIELD_PAGE
-#include "app/serve/page_server.h"
+#include "app/serve/page_pictures.h"
 #endif
 
 namespace semfield {

@@ -6,7 +6,7 @@
 
 #include "eval/final_eval.h"
 #include "formats/image_io.h"
-#include "labels/clicks/annotations.h"
+#include "labels/labelling_record.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 #include "train/metrics_log.h"

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "formats/image_io.h"
 #include "formats/zip_archive.h"

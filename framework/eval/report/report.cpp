@@ -19,7 +19,7 @@
 #include "eval/final_eval.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
-#include "labels/clicks/annotations.h"
+#include "labels/labelling_record.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "train/metrics_log.h"

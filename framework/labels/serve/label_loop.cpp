@@ -26,12 +26,6 @@ namespace {
 
 constexpr const char* kChoice = "point_learner/choice";
 
-// Where `at` falls among sums of weights.
-std::size_t place_in(const std::vector<double>& up_to, double at) {
-  const auto found = std::upper_bound(up_to.begin(), up_to.end(), at) - up_to.begin();
-  return static_cast<std::size_t>(std::min(found, std::ssize(up_to) - 1));
-}
-
 // Labelled points by class.
 class PointChoice {
  public:
@@ -214,106 +208,6 @@ std::optional<double> fit_temperature(std::span<const HeldBack> held) {
   const double found = (low + high) / 2;
   if (found - bottom < 0.01 || top - found < 0.01) return std::nullopt;
   return std::exp(found);
-}
-
-namespace {
-
-constexpr const char* kRandom = "proposals/candidates";
-// Classes that have a probability anywhere.
-std::ptrdiff_t named_classes(const ProposalInput& in) {
-  std::vector<bool> named(static_cast<std::size_t>(in.classes), false);
-  for (std::size_t i = 0; i < in.probability.size(); ++i)
-    if (in.probability[i] > 0) named[i % named.size()] = true;
-  return std::count(named.begin(), named.end(), true);
-}
-
-// [N] entropy as a fraction of the largest there can be; all 1 while nothing is learned.
-std::vector<double> entropies(const ProposalInput& in) {
-  const std::size_t count = in.pool->points.size();
-  std::vector<double> out(count, 1.0);
-  if (in.probability.empty()) return out;
-  const auto width = static_cast<std::size_t>(in.classes);
-  const auto live = named_classes(in);
-  if (live < 2) return out;  // a single class is sure of everything
-  const double most = std::log(static_cast<double>(live));
-  for (std::size_t i = 0; i < count; ++i) {
-    out[i] = std::min(1.0, entropy_nats(in.probability.subspan(i * width, width)) / most);
-  }
-  return out;
-}
-
-bool is_barred(const ProposalInput& in, std::size_t point) {
-  return in.barred != nullptr && !in.barred->empty() && (*in.barred)[point];
-}
-
-// How little is known of each point, 0 to 1: far from every click by way of the surface, or doubted by the network.
-std::vector<float> doubts(const ProposalInput& in) {
-  const std::vector<double> entropy = entropies(in);
-  std::vector<float> doubt(entropy.size());
-  for (std::size_t i = 0; i < doubt.size(); ++i) {
-    const float way = std::min(1.0F, in.graph->settled()[i].cost[0] / in.rules.unseen);
-    if (is_barred(in, i)) continue;
-    doubt[i] = static_cast<float>((1 - in.rules.entropy_share) * static_cast<double>(way) +
-                                  in.rules.entropy_share * static_cast<double>(way) * entropy[i]);
-  }
-  std::vector<SurfaceGraph::Near> near;
-  SurfaceGraph::Scratch scratch;
-  for (const std::int32_t point : in.passed) {
-    in.graph->around(point, in.rules.reach, in.rules.most, scratch, near);
-    for (const SurfaceGraph::Near& n : near) doubt[static_cast<std::size_t>(n.point)] = 0;
-  }
-  return doubt;
-}
-
-// Points drawn in proportion to their doubt, and not beside a border.
-std::vector<std::int32_t> candidates_of(const ProposalInput& in, std::span<const float> doubt) {
-  std::vector<double> up_to;
-  std::vector<std::int32_t> may;
-  double sum = 0;
-  for (std::size_t i = 0; i < doubt.size(); ++i) {
-    if (!in.pool->points[i].interior || is_barred(in, i)) continue;
-    may.push_back(static_cast<std::int32_t>(i));
-    up_to.push_back(sum += static_cast<double>(doubt[i]) + 1e-9);
-  }
-  std::vector<std::int32_t> out;
-  if (may.empty()) return out;
-  const RandomAddress address{in.seed, in.round, stream_id(kRandom)};
-  for (std::int64_t k = 0; k < in.rules.candidates; ++k) {
-    const double at =
-        (static_cast<double>(k) + static_cast<double>(uniform01(address, static_cast<std::uint64_t>(k)))) /
-        static_cast<double>(in.rules.candidates) * sum;
-    out.push_back(may[place_in(up_to, at)]);
-  }
-  return out;
-}
-
-}  // namespace
-
-std::optional<Asked> choose_click(const ProposalInput& in) {
-  if (in.pool->points.empty()) return std::nullopt;
-  const std::vector<float> doubt = doubts(in);
-  const std::vector<std::int32_t> candidates = candidates_of(in, doubt);
-  if (candidates.empty()) return Asked{0, 0, "unseen"};
-  std::vector<double> gain(candidates.size());
-  constexpr std::int64_t kBlock = 16;
-  parallel_for((std::ssize(candidates) + kBlock - 1) / kBlock, [&](std::int64_t block) {
-    SurfaceGraph::Scratch scratch;
-    std::vector<SurfaceGraph::Near> near;
-    for (std::int64_t k = block * kBlock; k < std::min(std::ssize(candidates), (block + 1) * kBlock); ++k) {
-      in.graph->around(candidates[static_cast<std::size_t>(k)], in.rules.reach, in.rules.most, scratch, near);
-      double settled = 0, area = 0;
-      for (const SurfaceGraph::Near& n : near) {
-        const double share = 1 - static_cast<double>(n.cost / in.rules.reach);
-        settled += share * static_cast<double>(doubt[static_cast<std::size_t>(n.point)]);
-        area += share;
-      }
-      gain[static_cast<std::size_t>(k)] = settled / std::pow(area, 1 - in.rules.area_power);
-    }
-  });
-  const auto best = static_cast<std::size_t>(std::max_element(gain.begin(), gain.end()) - gain.begin());
-  const std::int32_t point = candidates[best];
-  const float way = in.graph->settled()[static_cast<std::size_t>(point)].cost[0];
-  return Asked{point, gain[best], way >= in.rules.unseen ? "unseen" : "uncertain"};
 }
 
 namespace {

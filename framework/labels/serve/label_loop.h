@@ -15,6 +15,7 @@
 #include "core/small_math.h"
 #include "execution/pipeline.h"
 #include "labels/clicks/annotations.h"
+#include "labels/serve/proposals.h"
 #include "surface/surface_graph.h"
 #include "train/trainer.h"
 
@@ -88,39 +89,6 @@ std::vector<int> calibration_folds(std::span<const std::int16_t> classes);
 /// bound.
 std::optional<double> fit_temperature(std::span<const HeldBack> held);
 
-// Which click to propose next.
-
-struct Asked {
-  std::int32_t point = -1;  ///< of the pool
-  double gain = 0;          ///< cells of the surface that it is expected to settle
-  std::string_view why;     ///< "unseen" or "uncertain"
-};
-
-struct ProposalRules {
-  float unseen = 8;            ///< a point this far from every click, or farther, is open
-  float reach = 1.5;           ///< a click settles what it spreads to for this
-  std::size_t most = 400;      ///< points that one click settles
-  double area_power = 0.35;    ///< a region counts by this power of its area: small things have classes too
-  double entropy_share = 0.8;  ///< of a point's doubt that the network's entropy shows; the rest is the way to a click
-  std::int64_t candidates = 256;
-};
-
-/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `passed`: points
-/// that somebody did not want to name; `barred`: points that nobody shall name.
-struct ProposalInput {
-  const SurfacePool* pool = nullptr;
-  const SurfaceGraph* graph = nullptr;
-  std::span<const float> probability;
-  std::int32_t classes = 0;
-  std::span<const std::int32_t> passed;
-  const std::vector<bool>* barred = nullptr;  ///< [N] points that are never proposed; null or empty: none
-  std::uint64_t seed = 1, round = 0;
-  ProposalRules rules{};
-};
-
-/// The click that would settle most: doubt summed over the surface that it would spread to. None for an empty pool.
-std::optional<Asked> choose_click(const ProposalInput& input);
-
 /// A checksum with one more value, to tell apart what is held in memory; no file has it.
 inline std::uint64_t mix(std::uint64_t sum, std::uint64_t value) {
   sum = (sum ^ value) * 0x100000001B3ull;
@@ -148,85 +116,6 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
 /// A stroke says itself what it covers; a click, which has fewer pixels, names what looks alike around it too.
 inline constexpr std::size_t kMostClickPixels = 9;
 inline bool is_stroke(const LabelledPixels& named) { return named.pixels.size() > kMostClickPixels; }
-
-struct ClassState {
-  int index = 0;
-  int id = 0;
-  std::string name;
-  std::array<std::uint8_t, 3> color{};
-  int clicks = 0;
-  double area_share = 0;  ///< of the surface that the views show
-  double confidence = 0;  ///< mean over its area, after temperature
-  bool own = false;       ///< of the scene's table: not to be renamed, merged or deleted
-};
-
-struct ViewState {
-  std::string frame;
-  std::int32_t width_px = 0, height_px = 0;
-  int clicks = 0;
-  double entropy = 0;     ///< mean over its pixels, as a fraction of the largest there can be
-  bool ready = false;     ///< its surface is known, so it has labels
-  std::string photo;      ///< a checksum of its photograph
-  bool held_out = false;  ///< a test frame, which is only looked at
-};
-
-struct ProposalState {
-  std::string id;
-  int view = 0;
-  PixelPoint at;         ///< pixels of the view
-  std::string why;       ///< "unseen" or "uncertain"
-  int class_guess = -1;  ///< index; -1: none
-};
-
-/// A click of another view that a picture shows: the places of it that are seen.
-struct SeenMark {
-  std::string id;
-  std::vector<PixelPoint> points;  ///< pixels of the picture
-};
-
-/// A moment of a session; never changed once it is out.
-struct LabelState {
-  std::uint64_t revision = 0;          ///< grows with every change
-  std::uint64_t overlay_revision = 0;  ///< of the labels of views
-  std::uint64_t overlay_events = 0;    ///< events that those labels know; `events`: all
-  std::uint64_t events = 0;
-  std::uint64_t marks_revision = 0;  ///< `revision` when they changed last
-  std::string name, run_dir, device;
-  std::int64_t step = 0;
-  double train_s = 0, loss = 0, psnr_db = 0, rays_per_s = 0;
-  bool geometry_ready = false;
-  std::string phase;  ///< a short sentence
-  int named = 0, room = 0;
-  double temperature = 1;
-  std::vector<ClassState> classes;  ///< the named ones
-  std::vector<ViewState> views;
-  std::optional<ProposalState> proposal;
-  std::vector<Annotations::Mark> marks;  ///< Mark::frame: a frame of the scene; see LabelSession::view_of
-  std::vector<std::string> notes;        ///< warnings of the scene and the run
-  std::string trouble;  ///< not empty: files of the run could not be written; it goes on, and tries again
-  std::string failure;  ///< not empty: training has ended with this; what was labelled is safe
-};
-
-struct PictureRequest {
-  std::string client;  ///< a later request of the same client takes the place of one that waits
-  int view = 0;        ///< number in LabelState::views
-  bool color = false;  ///< rendered colour
-  bool labels = true;
-  bool entropy = false;
-  bool full = false;  ///< every pixel rendered: the view's final labels
-};
-
-/// Maps row by row; those that were not requested are empty.
-struct Picture {
-  std::int32_t width_px = 0, height_px = 0;
-  std::vector<std::uint8_t> rgb;
-  std::vector<std::int16_t> label;    ///< class indices, kVoid for none
-  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a fraction of the largest there can be
-  std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
-  std::uint64_t overlay_revision = 0;
-  double render_ms = 0;
-  bool stale = false;  ///< nothing was made: a later request took the place, or the session ends
-};
 
 struct LabelLoopOptions {
   std::int64_t map_rays = 400'000;  ///< of the coarse maps of all views together

@@ -16,6 +16,7 @@
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
 #include "labels/serve/label_loop.h"
+#include "labels/serve/label_state.h"
 #include "labels/serve/view_pictures.h"
 #include "plugin/registry.h"
 #include "scene/dataset.h"
@@ -119,8 +120,7 @@ class LabelSession final : public LabelSource {
   /// requires for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
   void keep(bool checkpoint);
   bool keep_is_due() const;
-  /// For the run's report: labelling.json and the pictures of the frames with the most clicks, photograph with clicks,
-  /// labels, entropy. `state` has the classes and marks. Throws write_error.
+  /// write_labelling_record() of now. `state` has the classes and marks.
   void write_record(LabelState state);
 
  private:

@@ -16,6 +16,33 @@
 
 namespace semfield {
 
+/// A click of another view that a picture shows: the places of it that are seen.
+struct SeenMark {
+  std::string id;
+  std::vector<PixelPoint> points;  ///< pixels of the picture
+};
+
+struct PictureRequest {
+  std::string client;  ///< a later request of the same client takes the place of one that waits
+  int view = 0;        ///< number in LabelState::views
+  bool color = false;  ///< rendered colour
+  bool labels = true;
+  bool entropy = false;
+  bool full = false;  ///< every pixel rendered: the view's final labels
+};
+
+/// Maps row by row; those that were not requested are empty.
+struct Picture {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<std::uint8_t> rgb;
+  std::vector<std::int16_t> label;    ///< class indices, kVoid for none
+  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a fraction of the largest there can be
+  std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
+  std::uint64_t overlay_revision = 0;
+  double render_ms = 0;
+  bool stale = false;  ///< nothing was made: a later request took the place, or the session ends
+};
+
 /// Image point where a camera sees a world position; nothing behind the camera or outside of its image.
 std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place);
 

@@ -1,0 +1,98 @@
+#include "app/serve/page_pictures.h"
+
+#include <turbojpeg.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+
+#include "app/serve/page_server.h"
+#include "core/check.h"
+#include "core/error.h"
+
+namespace semfield::app {
+
+namespace {
+
+constexpr int kQuick = 1;                                         // zlib's level: a picture is sent once
+constexpr std::array<std::uint8_t, 3> kUnnamed{{128, 128, 128}};  // a class that the state does not list yet
+
+std::string_view text_of(const std::vector<std::uint8_t>& bytes) {
+  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+
+}  // namespace
+
+Json points_json(const std::vector<PixelPoint>& points) {
+  Json out = Json::array();
+  for (const PixelPoint& p : points) out.push_back({p.x, p.y});
+  return out;
+}
+
+std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
+                                    const std::vector<ClassState>& classes) {
+  int most = kVoid;
+  for (const std::int16_t index : label) most = std::max<int>(most, index);
+  for (const ClassState& c : classes) most = std::max(most, c.index);
+  if (most >= kMostPageClasses)
+    throw Error(ErrorKind::data, "serve.classes.limit",
+                "the page shows at most " + std::to_string(kMostPageClasses) + " classes",
+                "give the scene a table of fewer classes: scene.classes");
+  std::vector<std::uint8_t> palette, index(label.size());
+  for (int entry = 0; entry < most + 2; ++entry) palette.insert(palette.end(), kUnnamed.begin(), kUnnamed.end());
+  for (const ClassState& c : classes)
+    std::copy(c.color.begin(), c.color.end(), palette.begin() + 3 * (static_cast<std::ptrdiff_t>(c.index) + 1));
+  std::transform(label.begin(), label.end(), index.begin(),
+                 [](std::int16_t value) { return static_cast<std::uint8_t>(value + 1); });
+  const std::array<std::uint8_t, 1> clear{{0}};
+  return encode_png(width_px, height_px, 3, 8, index, {palette, clear}, kQuick);
+}
+
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes) {
+  Json marks = Json::array();
+  for (const SeenMark& mark : picture.seen) marks.push_back({{"id", mark.id}, {"points", points_json(mark.points)}});
+  const Json facts{
+      {"width", picture.width_px},      {"height", picture.height_px}, {"overlay_revision", picture.overlay_revision},
+      {"render_ms", picture.render_ms}, {"stale", picture.stale},      {"marks", marks}};
+  const std::int32_t w = picture.width_px, h = picture.height_px;
+  using Bytes = std::vector<std::uint8_t>;
+  const Bytes color = picture.rgb.empty() ? Bytes() : encode_jpeg(w, h, picture.rgb);
+  const Bytes labels = picture.label.empty() ? Bytes() : label_png(w, h, picture.label, classes);
+  const Bytes entropy = picture.entropy.empty() ? Bytes() : encode_png(w, h, 0, 8, picture.entropy, {}, kQuick);
+  return joined_parts({facts.dump(), text_of(color), text_of(labels), text_of(entropy)});
+}
+
+std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px) {
+  const std::int32_t longest = std::max(photo.width_px, photo.height_px);
+  if (most_px <= 0 || longest <= most_px) return encode_jpeg(photo.width_px, photo.height_px, photo.pixels);
+  const auto shorter = [&](std::int32_t side) {
+    return std::max<std::int32_t>(1, static_cast<std::int32_t>(std::lround(double{1} * side * most_px / longest)));
+  };
+  const Image<std::uint8_t> small = resize_area(photo, shorter(photo.width_px), shorter(photo.height_px));
+  return encode_jpeg(small.width_px, small.height_px, small.pixels);
+}
+
+std::vector<std::uint8_t> encode_jpeg(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> rgb,
+                                      int quality) {
+  SEMFIELD_CHECK(
+      width_px > 0 && height_px > 0 &&
+          rgb.size() == std::size_t{3} * static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px),
+      "a picture's colours do not match its size");
+  const std::unique_ptr<void, int (*)(tjhandle)> encoder(tjInitCompress(), tjDestroy);
+  if (!encoder)
+    throw Error(ErrorKind::internal, "internal.jpeg.failed",
+                std::string("TurboJPEG cannot start: ") + tjGetErrorStr2(nullptr));
+  std::vector<std::uint8_t> out(tjBufSize(width_px, height_px, TJSAMP_420));
+  unsigned char* at = out.data();
+  unsigned long bytes = out.size();
+  // The buffer is large enough for any picture, so it is never replaced by another.
+  if (tjCompress2(encoder.get(), rgb.data(), width_px, 0, height_px, TJPF_RGB, &at, &bytes, TJSAMP_420, quality,
+                  TJFLAG_NOREALLOC) != 0)
+    throw Error(ErrorKind::internal, "internal.jpeg.failed",
+                std::string("TurboJPEG: ") + tjGetErrorStr2(encoder.get()));
+  out.resize(bytes);
+  return out;
+}
+
+}  // namespace semfield::app
