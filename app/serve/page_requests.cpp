@@ -6,7 +6,7 @@
 #include <string>
 
 #include "core/error.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 
 namespace semfield::app {
 

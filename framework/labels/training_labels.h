@@ -11,8 +11,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "labels/clicks/annotations.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/label_files.h"
 #include "scene/loading/frame_source.h"
 

@@ -12,7 +12,7 @@
 #include "execution/device_library.h"
 #include "execution/pipeline.h"
 #include "execution/ranks/ranks.h"
-#include "labels/clicks/annotations.h"
+#include "labels/clicks.h"
 #include "model/leave_out.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"

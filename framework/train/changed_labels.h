@@ -7,8 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "labels/clicks/annotations.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "train/ray_source.h"
 #include "train/session.h"
 

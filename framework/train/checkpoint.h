@@ -10,7 +10,7 @@
 
 #include "core/error.h"
 #include "formats/safetensors.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/training_labels.h"
 #include "model/leave_out.h"
 #include "model/param_store.h"

@@ -12,7 +12,7 @@
 #include "core/process.h"
 #include "core/text.h"
 #include "eval/final_eval.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "model/camera_corrections.h"
 #include "plugin/loader.h"
 #include "scene/camera_rig.h"

@@ -14,7 +14,7 @@
 
 #include "config/settings/choices.h"
 #include "config/settings/run_config.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "train/checkpoint.h"
 #include "train/metrics_log.h"
 #include "train/opened_run.h"

@@ -17,7 +17,7 @@
 #include "core/files.h"
 #include "core/process.h"
 #include "core/rng.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "scene/loading/packed_scene.h"
 #include "tests/crash/scenarios.h"
 #include "tests/crash/victim_runs.h"

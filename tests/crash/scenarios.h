@@ -5,7 +5,7 @@
 
 #include "core/checksum.h"
 #include "core/files.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "scene/loading/packed_scene.h"
 #include "tests/scene/tiny_scene.h"
 #include "train/run_folder.h"

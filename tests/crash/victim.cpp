@@ -5,7 +5,7 @@
 #include <cstdio>
 
 #include "core/error.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "tests/crash/scenarios.h"
 
 int main(int count, char** words) {

@@ -23,7 +23,7 @@
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "formats/safetensors.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/label_files.h"
 #include "plugin/loader.h"
 #include "plugin/registry.h"

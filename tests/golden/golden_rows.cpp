@@ -10,7 +10,7 @@
 #include <regex>
 
 #include "core/checksum.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/serve/label_session.h"
 #include "scene/loading/packed_scene.h"
 #include "tests/analytic_scene.h"

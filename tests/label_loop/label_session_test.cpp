@@ -12,7 +12,7 @@
 
 #include "core/non_copyable.h"
 #include "eval/report/report.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/labelling_record.h"
 #include "labels/serve/view_pictures.h"
 #include "scene/loading/packed_scene.h"

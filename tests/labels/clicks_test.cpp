@@ -1,5 +1,7 @@
 // What tests of annotations share: events of two small frames, and what they add up to as text.
 
+#include "labels/clicks.h"
+
 #include <sys/resource.h>
 
 #include <algorithm>
@@ -7,8 +9,6 @@
 
 #include "core/error.h"
 #include "core/files.h"
-#include "labels/clicks/annotations.h"
-#include "labels/clicks/click_log.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "tests/labels/reader_case.h"

@@ -2,7 +2,7 @@
 
 #include <thread>
 
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "tests/session/train_testing.h"
 #include "train/assembly.h"
 #include "train/trainer.h"

@@ -11,7 +11,7 @@
 #include "config/config_words.h"
 #include "config/settings/run_config.h"
 #include "core/files.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "model/optim/adam.h"
 #include "model/pass.h"
 #include "plugin/loader.h"

@@ -14,7 +14,7 @@
 
 #include "core/small_math.h"
 #include "execution/pipeline.h"
-#include "labels/clicks/annotations.h"
+#include "labels/clicks.h"
 #include "labels/serve/proposals.h"
 #include "surface/surface_graph.h"
 #include "train/trainer.h"

@@ -20,7 +20,7 @@
 #include "core/error.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
-#include "labels/clicks/annotations.h"
+#include "labels/clicks.h"
 #include "labels/serve/session_record.h"
 #include "labels/serve/view_pictures.h"
 #include "labels/training_labels.h"

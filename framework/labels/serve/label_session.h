@@ -13,8 +13,7 @@
 #include <vector>
 
 #include "formats/image_io.h"
-#include "labels/clicks/annotations.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/serve/label_loop.h"
 #include "labels/serve/label_state.h"
 #include "labels/serve/view_pictures.h"

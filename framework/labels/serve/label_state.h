@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "labels/clicks/annotations.h"
+#include "labels/clicks.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "eval/evaluator.h"
-#include "labels/clicks/annotations.h"
+#include "labels/clicks.h"
 #include "labels/serve/label_loop.h"
 #include "scene/scene.h"
 #include "surface/surface_graph.h"

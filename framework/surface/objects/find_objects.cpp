@@ -11,7 +11,7 @@
 #include "compute/parallel.h"
 #include "core/joined_sets.h"
 #include "execution/lane_executor.h"
-#include "labels/clicks/click_log.h"
+#include "labels/clicks.h"
 #include "labels/label_files.h"
 #include "scene/classes/class_table.h"
 #include "surface/objects/object_set.h"

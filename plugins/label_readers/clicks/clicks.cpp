@@ -1,4 +1,6 @@
 // Clicks: pixels that somebody has named, in a CSV file or a log of label events.
+#include "labels/clicks.h"
+
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -9,8 +11,6 @@
 #include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "labels/clicks/annotations.h"
-#include "labels/clicks/click_log.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
