@@ -8,9 +8,11 @@
 #include <chrono>
 #include <csignal>
 #include <filesystem>
+#include <map>
 #include <thread>
 
 #include "app/child_process.h"
+#include "app/serve/page_requests.h"
 #include "app/serve/page_server.h"
 #include "core/error.h"
 #include "core/files.h"
@@ -34,18 +36,21 @@ struct Recipe {
   std::vector<std::string> files, words;
 };
 
-const Recipe& recipe_of(ExportKind kind) {
-  static const std::array<Recipe, kExportNames.size()> recipes{
-      {{"rendering the labels",
+const std::map<std::string, Recipe>& recipes() {
+  static const std::map<std::string, Recipe> all{
+      {"labels",
+       {"rendering the labels",
         {"labels.zip"},
-        {"labels", "export", "RUN", "--split", "train", "--format", "png", "--out", "TO"}},
+        {"labels", "export", "RUN", "--split", "train", "--format", "png", "--out", "TO"}}},
+      {"coco",
        {"rendering the labels",
         {"coco.json"},
-        {"labels", "export", "RUN", "--split", "train", "--format", "coco", "--out", "TO/coco.json"}},
+        {"labels", "export", "RUN", "--split", "train", "--format", "coco", "--out", "TO/coco.json"}}},
+      {"mesh",
        {"finding the surface",
         {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"},
         {"mesh", "RUN", "--format", "ply,glb", "--out", "TO/mesh.ply"}}}};
-  return recipes[static_cast<std::size_t>(kind)];
+  return all;
 }
 
 std::string type_of_export(const std::string& file) {
@@ -67,28 +72,30 @@ PageExports::~PageExports() {
   for (Export& one : exports_) one.thread.join();
 }
 
-std::string PageExports::start(ExportKind kind) {
+std::string PageExports::start(const std::string& what) {
+  if (!recipes().contains(what)) kRequest.refuse_value("what", "labels, coco or mesh", what);
   const std::scoped_lock lock(mutex_);
   if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
       static_cast<std::ptrdiff_t>(kMostOpen))
     throw Error(ErrorKind::unavailable, "serve.exports.full",
                 fmt::format("{} exports are running or waiting", kMostOpen), "wait until one is done, or cancel one");
   std::string id;
-  for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", export_name(kind), n);
+  for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", what, n);
   create_folders(folder_of(id));
-  Export& one = exports_.emplace_back(Export{kind, {id, export_name(kind), "waiting", "for its turn", {}}});
+  Export& one = exports_.emplace_back(Export{{id, what, "waiting", "for its turn", {}}});
   ++changes_;
   one.thread = std::thread([this, &one] { make(one); });
   return id;
 }
 
-bool PageExports::cancel(const std::string& id) {
+std::string PageExports::cancel(const std::string& id) {
   const std::scoped_lock lock(mutex_);
   const auto one = std::find_if(exports_.begin(), exports_.end(), [&](const Export& e) { return e.state.id == id; });
-  if (one == exports_.end()) return false;
+  if (one == exports_.end())
+    throw Error(ErrorKind::data, "serve.export.unknown", "no export '" + id + "'", "the state lists those that exist");
   one->canceled = true;
   turn_.notify_all();
-  return true;
+  return id;
 }
 
 std::vector<ExportState> PageExports::list() const {
@@ -123,12 +130,12 @@ void PageExports::make(Export& one) {
       tell(one, "running", "saving the field");
       save_();
       run_verb(one);
-      if (one.kind == ExportKind::labels) pack_labels(folder);
+      if (one.state.what == "labels") pack_labels(folder);
     }
     if (ends(one)) {
       tell(one, "canceled", "");
     } else {
-      tell(one, "done", "in " + folder, recipe_of(one.kind).files);
+      tell(one, "done", "in " + folder, recipes().at(one.state.what).files);
     }
   } catch (const std::exception& e) {
     tell(one, ends(one) ? "canceled" : "failed", ends(one) ? "" : e.what());
@@ -140,7 +147,7 @@ void PageExports::make(Export& one) {
 
 void PageExports::run_verb(Export& one) {
   const std::string folder = folder_of(one.state.id), log = folder + "/log.txt";
-  const Recipe& recipe = recipe_of(one.kind);
+  const Recipe& recipe = recipes().at(one.state.what);
   const std::string begun = recipe.begun;
   std::vector<std::string> words{options_.program};
   for (const std::string& word : recipe.words)

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "app/serve/http_server.h"
-#include "app/serve/page_requests.h"
 #include "core/non_copyable.h"
 
 namespace semfield::app {
@@ -20,7 +19,7 @@ namespace semfield::app {
 /// One export, as the page shows it.
 struct ExportState {
   std::string id;
-  std::string what;                ///< export_name()
+  std::string what;                ///< "labels", "coco" or "mesh"
   std::string state = "waiting";   ///< then "running", then "done", "failed" or "canceled"
   std::string text;                ///< a short sentence
   std::vector<std::string> files;  ///< names, when it is done
@@ -41,11 +40,11 @@ class PageExports : NonCopyable {
   /// Ends the processes of exports that are being made.
   ~PageExports();
 
-  /// The id of the export that was begun or waits. Throws Error: unavailable where too many wait, write_error for its
-  /// folder.
-  std::string start(ExportKind kind);
-  /// Ends an export; what is done stays. False: there is none of this id.
-  bool cancel(const std::string& id);
+  /// The id of the export that was begun or waits. Throws Error: data for a word that is none, unavailable where too
+  /// many wait, write_error for its folder.
+  std::string start(const std::string& what);
+  /// Ends an export, whose id it returns; what is done stays. Throws Error(data) where there is none of this id.
+  std::string cancel(const std::string& id);
   std::vector<ExportState> list() const;
   /// Grows with every change of the list.
   std::uint64_t changes() const { return changes_; }
@@ -55,7 +54,6 @@ class PageExports : NonCopyable {
  private:
   // One export and the thread that waits for its turn and its program.
   struct Export {
-    ExportKind kind;
     ExportState state;
     bool canceled = false;
     std::thread thread{};

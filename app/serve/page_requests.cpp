@@ -83,21 +83,6 @@ PictureRequest parse_picture_request(std::string_view json) {
   return request;
 }
 
-ExportRequest parse_export_request(std::string_view json) {
-  const Json root = parse_request(json, {"what", "cancel"});
-  const auto what = root.find("what"), cancel = root.find("cancel");
-  if ((what == root.end()) == (cancel == root.end())) kRequest.refuse("expected either 'what' or 'cancel'");
-  if (cancel != root.end()) {
-    const std::string* id = cancel->get_ptr<const std::string*>();
-    if (id == nullptr || !is_event_id(*id)) kRequest.refuse_value("cancel", "the id of an export", *cancel);
-    return {std::nullopt, *id};
-  }
-  for (const ExportKind kind : {ExportKind::labels, ExportKind::coco, ExportKind::mesh}) {
-    if (*what == export_name(kind)) return {kind, ""};
-  }
-  kRequest.refuse_value("what", "labels, coco or mesh", *what);
-}
-
 std::optional<std::string_view> query_value(std::string_view query, std::string_view key) {
   while (!query.empty()) {
     const std::string_view part = query.substr(0, query.find('&'));

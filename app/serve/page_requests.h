@@ -61,17 +61,6 @@ inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a reque
 /// missing, unknown or given twice. That the view exists is the session's to say.
 PictureRequest parse_picture_request(std::string_view json);
 
-enum class ExportKind { labels, coco, mesh };
-inline constexpr std::array kExportNames{"labels", "coco", "mesh"};
-inline const char* export_name(ExportKind kind) { return kExportNames[static_cast<std::size_t>(kind)]; }
-/// What is to be made, or else the id of the export that is to end.
-struct ExportRequest {
-  std::optional<ExportKind> what;
-  std::string cancel;
-};
-/// Throws as parse_picture_request does.
-ExportRequest parse_export_request(std::string_view json);
-
 /// Value of `key` in a query "a=1&b=2"; none where it is missing.
 std::optional<std::string_view> query_value(std::string_view query, std::string_view key);
 

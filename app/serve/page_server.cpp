@@ -199,14 +199,12 @@ HttpResponse PageServer::post_picture(const HttpRequest& request) {
 }
 
 HttpResponse PageServer::post_export(const HttpRequest& request) {
-  const ExportRequest wanted = parse_export_request(request.body);
-  if (!wanted.what) {
-    if (!exports_.cancel(wanted.cancel))
-      throw Error(ErrorKind::data, "serve.export.unknown", "no export '" + wanted.cancel + "'",
-                  "the state lists those that exist");
-    return json_answer({{"id", wanted.cancel}});
-  }
-  return json_answer({{"id", exports_.start(*wanted.what)}});
+  const Json root = parse_request(request.body, {"what", "cancel"});
+  if (root.size() != 1) kRequest.refuse("expected either 'what' or 'cancel'");
+  const auto wanted = root.begin();
+  const std::string* word = wanted.value().get_ptr<const std::string*>();
+  if (word == nullptr) kRequest.refuse_value(wanted.key(), "a word", wanted.value());
+  return json_answer({{"id", wanted.key() == "what" ? exports_.start(*word) : exports_.cancel(*word)}});
 }
 
 namespace {

@@ -440,7 +440,6 @@ void fuzz_page(std::string_view bytes) {
     }
     promise(camera.fov_deg >= 1 && camera.fov_deg <= 170, "a field of view that is none");
   });
-  accepted([&] { (void)app::parse_export_request(bytes); });
   accepted([&] { promise(app::query_number(bytes, "view", 3, 100) <= 100, "a number above its bound"); });
 }
 

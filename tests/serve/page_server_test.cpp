@@ -278,15 +278,10 @@ TEST(PictureRequestText, LabelsAreTheDefault) {
   EXPECT_FALSE(r.color || r.entropy || r.full);
 }
 
-TEST(ExportRequestText, KindsHaveNames) {
-  for (const ExportKind kind : {ExportKind::labels, ExportKind::coco, ExportKind::mesh})
-    EXPECT_EQ(parse_export_request(std::string(R"({"what":")") + export_name(kind) + "\"}").what, kind);
-  const ExportRequest end = parse_export_request(R"({"cancel":"coco-1"})");
-  EXPECT_FALSE(end.what.has_value());
-  EXPECT_EQ(end.cancel, "coco-1");
+TEST_F(ServedPage, WrongRequestsForExportsAreRefused) {
   for (const char* bad : {"{}", R"({"what":"all"})", R"({"what":1})", R"({"what":"coco","to":"/etc"})", "null",
                           R"({"what":"coco","cancel":"coco-1"})", R"({"cancel":1})", R"({"cancel":"../x"})"})
-    EXPECT_THROW((void)parse_export_request(bad), Error) << bad;
+    EXPECT_EQ(post("export", bad).status, 400) << bad;
 }
 
 TEST(QueryNumber, IsWholeAndBounded) {
