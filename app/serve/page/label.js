@@ -3,7 +3,6 @@ import {PictureCamera} from './camera.js';
 import {Settings, ask, askClass, followClicksBeside, keyTable} from './dialogs.js';
 import {byId, onClick, safeStorage} from './dom.js';
 import {Labeller} from './labeller.js';
-import {OverlayEvents} from './model.js';
 import {Page} from './page.js';
 import {Bars, Panel, Strip} from './panel.js';
 import {Pictures} from './pictures.js';
@@ -16,7 +15,6 @@ class LabelPage extends Page {
     this.session = safeStorage('sessionStorage');
     this.labeller = new Labeller(this);
     this.pictures = new Pictures(this, this.labeller.ids.tab);
-    this.overlayEvents = new OverlayEvents();
     this.index = 0;
     this.isRendered = false;
     this.bars = new Bars(this);
@@ -35,7 +33,6 @@ class LabelPage extends Page {
   take(value, anew) {
     const isFirst = this.state === null;
     if (anew && !isFirst) this.pictures.forget();
-    this.overlayEvents.tell(value.overlay);
     this.labeller.take(value, anew);
     if (isFirst) this.show(Number(this.session.getItem('semfield.view') ?? this.state.proposal?.view ?? 0));
     this.labeller.chosen ??= this.classes.length === 1 ? this.classes[0].name : null;

@@ -87,23 +87,6 @@ export function combined(state, pending, everyEvent) {
   return {classes, marks, ignore};
 }
 
-/// Which events of `overlay` (a revision of the label maps) are known, from the pairs that states carried.
-export class OverlayEvents {
-  constructor() { this.pairs = []; }
-  tell({revision, events}) {
-    const last = this.pairs.at(-1);
-    if (last && revision < last[0]) this.pairs = [];
-    if (last?.[0] === revision) last[1] = events;
-    else this.pairs.push([revision, events]);
-    if (this.pairs.length > 64) this.pairs.shift();
-  }
-  known(revision) {
-    let events = -1;
-    for (const [at, count] of this.pairs) if (at <= revision) events = count;
-    return events;
-  }
-}
-
 /// From which number of events on a label map knows each mark: the count when the mark was first seen.
 export class MarkBirths {
   constructor() { this.births = new Map(); }

@@ -72,7 +72,7 @@ export class Pictures {
     return entry;
   }
 
-  /// {labels, entropy, color, revision...} of the view, or null; older than the newest while that is fetched.
+  /// {labels, entropy, color, revision, events that the labels know at least...} of the view, or null; older than the newest while that is fetched.
   overlay(view) { return this.overlays.get(view) ?? null; }
 
   /// Everything may be another: the program was started anew.
@@ -81,8 +81,8 @@ export class Pictures {
     this.wished = null;
   }
 
-  /// Asks for what is missing or old. wish: {view, entropy, color}; `revision` of the newest label maps; `pause_ms` between renderings.
-  want({view, entropy, color}, revision, pause_ms) {
+  /// Asks for what is missing or old. wish: {view, entropy, color}; `revision` and `events` of the newest label maps; `pause_ms` between renderings.
+  want({view, entropy, color}, {revision, events}, pause_ms) {
     const entry = this.overlays.get(view);
     const fresh = (at) => at !== undefined && at >= revision;
     const rested = performance.now() - (entry?.colored_ms ?? -Infinity) > pause_ms;
@@ -91,7 +91,7 @@ export class Pictures {
     const key = `${view} ${entropy} ${needsColor} ${revision}`;
     if (this.wished === key) return;
     this.wished = key;
-    this.next = {key, request: {client: this.client, view, labels: true, entropy, color: needsColor}};
+    this.next = {key, events, request: {client: this.client, view, labels: true, entropy, color: needsColor}};
     if (!this.isAsking) this.ask();
   }
 
@@ -99,10 +99,10 @@ export class Pictures {
   async ask() {
     this.isAsking = true;
     while (this.next) {
-      const {key, request} = this.next;
+      const {key, events, request} = this.next;
       this.next = null;
       try {
-        this.took(request.view, await getPicture(request));
+        this.took(request.view, events, await getPicture(request));
       } catch (error) {
         setTimeout(() => { if (this.wished === key) { this.wished = null; this.changed(); } }, 1000);
         this.messages.wrong(error);
@@ -111,12 +111,12 @@ export class Pictures {
     this.isAsking = false;
   }
 
-  took(view, picture) {
+  took(view, events, picture) {
     this.wished = null;
     if (!picture.stale) {
       const entry = this.overlays.get(view) ?? {};
       const revision = picture.overlay_revision;
-      Object.assign(entry, {revision, labels: picture.labels ?? entry.labels ?? null, marks: picture.marks, width: picture.width});
+      Object.assign(entry, {revision, events, labels: picture.labels ?? entry.labels ?? null, marks: picture.marks, width: picture.width});
       if (picture.entropy) Object.assign(entry, {entropy: entropyCanvas(picture.entropy), entropyRevision: revision});
       if (picture.color) Object.assign(entry, {color: picture.color, colorRevision: revision, colored_ms: performance.now()});
       entry.version = (entry.version ?? 0) + 1;

@@ -91,7 +91,7 @@ export class Stage {
     const isEntropy = this.kind === 'entropy';
     const overlay = pictures.overlay(index);
     if (!document.hidden && (view.ready || isRendered)) {
-      pictures.want({view: index, entropy: isEntropy, color: isRendered}, state.overlay.revision, kRenderPause_ms);
+      pictures.want({view: index, entropy: isEntropy, color: isRendered}, state.overlay, kRenderPause_ms);
     }
     camera.setImage(view.width, view.height);
     const view_px = Math.max(view.width, view.height);
@@ -106,7 +106,7 @@ export class Stage {
     Object.assign(this, {marks, others, shown: index});
 
     // What is ignored has no label in the overlay; what was named on it later lies over its stripes.
-    const events = overlay ? page.overlayEvents.known(overlay.revision) : -1;
+    const events = overlay?.revision >= state.overlay.revision ? state.overlay.events : overlay?.events ?? -1;
     const isPainted = ({id, saved}) => saved && labeller.births.isPainted(id, events);
     const ignored = marks.findIndex(({isIgnore}) => isIgnore);
     const paints = isEntropy ? [] : marks.filter((mark, i) => !isPainted(mark) || (ignored >= 0 && i >= ignored));
