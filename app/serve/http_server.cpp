@@ -194,7 +194,6 @@ HttpRequest HttpReader::read_head() {
   const HttpRequest request = parsed_head(std::string_view(unread_).substr(0, end + kLineEnd.size()));
   unread_.erase(0, end + 2 * kLineEnd.size());
   length_ = body_length(request, most_body_bytes_);
-  expects_continue_ = length_ > 0 && lower_case(request.header("expect").value_or("")) == "100-continue";
   return request;
 }
 
@@ -431,9 +430,6 @@ void HttpServer::Impl::serve_one(Peer& peer) {
   if (std::optional<HttpResponse> refusal = handler.refuse(request))
     return respond(peer, std::move(*refusal), with_body);
   enter(peer, At::reading, options.body_ms);
-  constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
-  if (reader.expects_continue())
-    (void)!::send(peer.socket, kContinue.data(), kContinue.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
   reader.read_body(request);
   enter(peer, At::answering, 0);
   request.gone = [socket = peer.socket] { return wait_for(socket, POLLRDHUP, {}); };

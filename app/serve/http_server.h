@@ -45,14 +45,11 @@ class HttpReader {
   /// The request without its body, which read_body() brings. Both throw HttpRefusal.
   HttpRequest read_head();
   void read_body(HttpRequest& request);
-  /// The client waits for "100 Continue" before it sends the body.
-  bool expects_continue() const { return expects_continue_; }
 
  private:
   std::size_t most_body_bytes_;
   std::function<void(std::string&)> more_;
   std::string unread_;
-  bool expects_continue_ = false;
   std::size_t length_ = 0;  // of the body
 };
 

@@ -171,24 +171,6 @@ TEST_F(ServedPage, MapsThatWereNotAskedForHaveNoBytes) {
   EXPECT_EQ(parts[3], "");
 }
 
-TEST_F(ServedPage, ALaterPictureOfTheSameClientMakesTheOneThatWaitsStale) {
-  source_.hold(true);
-  const auto ask_as = [&](const char* client) {
-    return std::async(std::launch::async, [this, client] {
-      return post("picture", std::string(R"({"client":")") + client + R"(","view":0})");
-    });
-  };
-  std::future<Answer> first = ask_as("one");
-  source_.wait_for_requests(1);
-  std::future<Answer> other = ask_as("two");
-  source_.wait_for_requests(2);
-  std::future<Answer> second = ask_as("one");
-  EXPECT_EQ(Json::parse(parts_of(first.get()).at(0))["stale"], true) << "at once, while the others wait";
-  source_.hold(false);
-  for (std::future<Answer>* fresh : {&other, &second})
-    EXPECT_EQ(Json::parse(parts_of(fresh->get()).at(0))["stale"], false);
-}
-
 TEST_F(ServedPage, PhotographsMayBeKeptAndShrink) {
   const Answer whole = get("photo?view=1");
   ASSERT_EQ(whole.status, 200);
@@ -620,16 +602,6 @@ TEST_F(ServedPage, RequestsMayComeInPiecesAndSeveralAtOnce) {
   EXPECT_EQ(eager.receive().body, "<html></html>");
   EXPECT_TRUE(eager.closes(5));
   EXPECT_EQ(source_.events().size(), 51u);
-}
-
-TEST_F(ServedPage, AClientThatAsksWhetherItMaySendIsTold) {
-  Connection c(port());
-  const std::string body = click("a-1");
-  c.send("POST /" + token() + "/event HTTP/1.1\r\nHost: " + host() +
-         "\r\nExpect: 100-continue\r\nContent-Length: " + std::to_string(body.size()) + "\r\n\r\n");
-  EXPECT_EQ(c.receive(5).status, 100);
-  c.send(body);
-  EXPECT_EQ(c.receive(5).status, 200);
 }
 
 TEST_F(ServedPage, AHeadAloneHasNoBody) {
