@@ -11,10 +11,6 @@
 #include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
 
-namespace semfield {
-struct KeptScene;
-}
-
 namespace semfield::app {
 
 namespace fs = std::filesystem;
@@ -31,7 +27,6 @@ struct AppContext : NonCopyable {
   InputLimits limits;
   LoadProgress load_progress;
   WorkSettings work;             ///< of the main thread
-  KeptScene* kept = nullptr;     ///< of a process that runs several trainings; null: it runs one
   std::unique_ptr<Ranks> ranks;  ///< the processes that this one leads or follows; null: it is alone
   bool quiet = false;
   bool json = false;

@@ -21,7 +21,6 @@
 
 #include "app/signals.h"
 #include "core/files.h"
-#include "execution/ranks/ranks.h"
 
 namespace semfield::app {
 
@@ -34,16 +33,17 @@ FileDescriptor output_file(const std::string& path) {
   return file;
 }
 
+int code_of(int status) { return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status); }
+
 }  // namespace
 
 std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
 
 pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
-                  const std::function<void()>& in_child) {
+                  const std::function<void()>& in_child, const std::vector<char*>& environment) {
   std::vector<char*> argv;
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);
-  std::vector<char*> environment = environment_of_child();
   const pid_t parent = getpid();
   // Signals wait until the child has put our handlers away, which would swallow one that comes before the program
   // starts.
@@ -92,7 +92,7 @@ int code_of_child(pid_t pid) {
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
   }
-  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  return code_of(status);
 }
 
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
@@ -101,67 +101,25 @@ pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files
   return start_child(words, ChildStreams{-1, out, log}, in_child);
 }
 
-ProcessEnd process_end(int status, const rusage& usage) {
+ProcessEnd end_of_child(pid_t pid, const std::function<int()>& stop) {
+  ProcessEnd end;
+  rusage usage{};
+  for (bool told = false; wait4(pid, &end.status, WNOHANG, &usage) != pid;) {
+    try {
+      if (const int signal = stop(); signal != 0 && !told) told = kill(pid, signal) == 0;
+    } catch (...) {
+      kill(pid, SIGTERM);
+      code_of_child(pid);
+      throw;
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
   const auto seconds = [](const timeval& t) {
     return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
   };
-  return {status, static_cast<double>(usage.ru_maxrss) / 1024, seconds(usage.ru_utime) + seconds(usage.ru_stime)};
-}
-
-Server::Server(const std::string& program) : child_(0) {
-  Pipe words = open_pipe(program), ends = open_pipe(program);
-  child_.pid = start_child({program, kServesWords}, ChildStreams{words.read, ends.write, STDERR_FILENO});
-  words_ = std::move(words.write);
-  ends_ = std::move(ends.read);
-}
-
-void Server::begin(std::vector<std::string> words, const ChildFiles& files) {
-  words.insert(words.begin(), {files.out, files.log});
-  std::string line;
-  for (const std::string& word : words) line += word + '\0';
-  line += '\0';
-  // A process that is gone shows by its end.
-  for (std::size_t sent = 0; sent < line.size();) {
-    const ssize_t more = write(words_, line.data() + sent, line.size() - sent);
-    if (more < 0 && errno != EINTR) return;
-    sent += more > 0 ? static_cast<std::size_t>(more) : 0;
-  }
-}
-
-std::optional<ProcessEnd> Server::end() const {
-  pollfd reader{ends_, POLLIN, 0};
-  ProcessEnd end;
-  if (poll(&reader, 1, 0) <= 0 || read(ends_, &end, sizeof(end)) != sizeof(end)) return std::nullopt;
+  end.peak_mb = static_cast<double>(usage.ru_maxrss) / 1024;
+  end.processor_s = seconds(usage.ru_utime) + seconds(usage.ru_stime);
   return end;
-}
-
-int serve_words(const std::function<int(std::vector<char*>& words)>& run) {
-  const FileDescriptor in(fcntl(STDIN_FILENO, F_DUPFD_CLOEXEC, 3)), ends(fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 3));
-  dup2(FileDescriptor(open("/dev/null", O_RDONLY | O_CLOEXEC)), STDIN_FILENO);
-  constexpr std::string_view kEnd("\0\0", 2);  // of the last word, and of all
-  double before_s = 0;
-  std::string line;
-  std::array<char, 4096> part{};
-  while (stop_signal() == 0) {
-    const ssize_t got = read(in, part.data(), part.size());
-    if (got < 0 && errno == EINTR) continue;
-    if (got <= 0) break;
-    line.append(part.data(), static_cast<std::size_t>(got));
-    if (!line.ends_with(kEnd)) continue;
-    std::vector<char*> words;
-    for (std::size_t at = 0; at + 1 < line.size(); at = line.find('\0', at) + 1) words.push_back(&line[at]);
-    dup2(output_file(words[0]), STDOUT_FILENO);
-    dup2(output_file(words[1]), STDERR_FILENO);
-    words.erase(words.begin(), words.begin() + 2);
-    const int code = run(words);
-    line.clear();
-    rusage usage{};
-    getrusage(RUSAGE_SELF, &usage);
-    ProcessEnd end = process_end(W_EXITCODE(code, 0), usage);
-    end.processor_s -= std::exchange(before_s, end.processor_s);
-    if (write(ends, &end, sizeof(end)) != sizeof(end)) break;
-  }
-  return 0;
 }
 
 ChildEnd run_child(const std::vector<std::string>& words) {
@@ -185,24 +143,13 @@ ChildEnd run_child(const std::vector<std::string>& words) {
 }
 
 int run_logged_child(const std::vector<std::string>& words, const std::string& log, const std::function<void()>& tick) {
-  const pid_t pid = start_child(words, {log, log});
   constexpr int kLooksPerTick = 25;
-  bool told = false;
-  for (int look = 1;; ++look) {
-    siginfo_t ended{};
-    if (waitid(P_PID, static_cast<id_t>(pid), &ended, WEXITED | WNOHANG | WNOWAIT) == 0 && ended.si_pid == pid)
-      return code_of_child(pid);
-    if (stop_signal() != 0 && !told) told = kill(pid, stop_signal()) == 0;
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    if (look % kLooksPerTick != 0) continue;
-    try {
-      tick();
-    } catch (...) {
-      kill(pid, SIGTERM);
-      code_of_child(pid);
-      throw;
-    }
-  }
+  int look = 0;
+  const ProcessEnd end = end_of_child(start_child(words, {log, log}), [&] {
+    if (++look % kLooksPerTick == 0) tick();
+    return stop_signal();
+  });
+  return code_of(end.status);
 }
 
 std::string last_line(const std::string& log_file) {

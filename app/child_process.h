@@ -4,14 +4,12 @@
 #include <sys/types.h>
 
 #include <functional>
-#include <optional>
 #include <string>
 #include <vector>
 
 #include "core/files.h"
 #include "core/non_copyable.h"
-
-struct rusage;
+#include "execution/ranks/ranks.h"
 
 namespace semfield::app {
 
@@ -28,13 +26,14 @@ struct ChildStreams {
 };
 
 /// Starts `words`, the first of which is the program's file, in a process group of its own, so that Ctrl-C does not
-/// reach it, and without what a launcher said to this one (execution/ranks/ranks.h). `in_child` runs between fork
-/// and exec, so it calls what is async-signal-safe alone. The thread that starts it is the one that it ends with.
+/// reach it, and by default without what a launcher said to this one (execution/ranks/ranks.h). `in_child` runs between
+/// fork and exec, so it calls what is async-signal-safe alone. The thread that starts it is the one that it ends with.
 /// Throws write_error for the files, Error(unavailable) where no process can be had.
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
                   const std::function<void()>& in_child = {});
 pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
-                  const std::function<void()>& in_child = {});
+                  const std::function<void()>& in_child = {},
+                  const std::vector<char*>& environment = environment_of_child());
 
 /// A pipe to or from a child, which inherits neither end; the caller closes the one that is the child's. Throws
 /// Error(unavailable), which names the `program`.
@@ -50,7 +49,9 @@ struct ProcessEnd {
   int status = 0;                       ///< as wait() tells it
   double peak_mb = 0, processor_s = 0;  ///< what it used
 };
-ProcessEnd process_end(int status, const rusage& usage);
+/// Waits for it, and sends the signal that `stop` returns on to it once, where that is not 0. `stop` is called now and
+/// then, and what it throws ends the child first.
+ProcessEnd end_of_child(pid_t pid, const std::function<int()>& stop);
 
 /// A child that this object ends, if it still runs, by a signal.
 struct OwnedChild : NonCopyable {
@@ -62,35 +63,6 @@ struct OwnedChild : NonCopyable {
   int signal;
   pid_t pid = -1;
 };
-
-// This program as a process that runs one command line after another: what the first of them opened - a scene, plugins,
-// a device - the next ones find.
-
-/// The only word of such a process.
-inline constexpr const char* kServesWords = "--serve-words";
-
-/// The process ends with this object, once it has nothing under way.
-class Server : NonCopyable {
- public:
-  /// Throws Error(unavailable) where no process can be had.
-  explicit Server(const std::string& program);
-
-  pid_t pid() const { return child_.pid; }
-  /// Begins what a process of the program with these words would do; one at a time.
-  void begin(std::vector<std::string> words, const ChildFiles& files);
-  /// Once that has ended.
-  std::optional<ProcessEnd> end() const;
-  /// Somebody waited for the process, which is no more.
-  void is_gone() { child_.pid = -1; }
-
- private:
-  OwnedChild child_;
-  FileDescriptor words_, ends_;
-};
-
-/// What the process does, until nobody sends words any more or a stop signal came: `run` returns the exit code of
-/// words.
-int serve_words(const std::function<int(std::vector<char*>& words)>& run);
 
 struct ChildEnd {
   int code = 0;  ///< its exit code, or 128 and the number of the signal that ended it

@@ -5,20 +5,15 @@
 #include <cstdlib>
 #include <exception>
 #include <filesystem>
-#include <functional>
 #include <string>
-#include <string_view>
-#include <vector>
 
 #include "app/app_context.h"
-#include "app/child_process.h"
 #include "app/command_line.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "core/error.h"
 #include "core/workspace.h"
 #include "plugin/loader.h"
-#include "train/session.h"
 
 namespace {
 
@@ -52,11 +47,19 @@ semfield::Error internal(const std::string& cause) {
                    "fix the module, or leave it out"}));
 }
 
-// The exit code of work whose errors are told.
-int code_of(const semfield::app::AppContext& context, const std::function<int()>& work) {
+}  // namespace
+
+int main(int argc, char** argv) {
   using namespace semfield;
+  app::AppContext context;
+  std::set_terminate(on_terminate);
   try {
-    return app::finish_stdout(work());
+    app::prepare_process();
+    context.terminal = isatty(STDERR_FILENO) != 0;
+    app::show_load_progress(context);
+    const WorkScope scope(context.work);
+    register_linked_plugins(context.registry);
+    return app::finish_stdout(app::run_command_line(argc, argv, context));
   } catch (const RankLost& lost) {
     const bool leads = context.ranks->rank() == 0;
     if (leads) told(lost);
@@ -78,26 +81,4 @@ int code_of(const semfield::app::AppContext& context, const std::function<int()>
   } catch (const std::exception& error) {
     return told(internal(error.what()));
   }
-}
-
-}  // namespace
-
-int main(int argc, char** argv) {
-  using namespace semfield;
-  app::AppContext context;
-  std::set_terminate(on_terminate);
-  return code_of(context, [&] {
-    app::prepare_process();
-    context.terminal = isatty(STDERR_FILENO) != 0;
-    app::show_load_progress(context);
-    const WorkScope scope(context.work);
-    register_linked_plugins(context.registry);
-    if (argc != 2 || std::string_view(argv[1]) != app::kServesWords) return app::run_command_line(argc, argv, context);
-    KeptScene kept;
-    context.kept = &kept;
-    return app::serve_words([&](std::vector<char*>& words) {
-      return code_of(context,
-                     [&] { return app::run_command_line(static_cast<int>(words.size()), words.data(), context); });
-    });
-  });
 }

@@ -1,31 +1,33 @@
 #include "app/sweep/sweep_work.h"
 
 #include <fmt/format.h>
-#include <sys/resource.h>
-#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <csignal>
+#include <cstdlib>
 #include <deque>
 #include <filesystem>
-#include <map>
+#include <fstream>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <string_view>
 #include <thread>
 #include <utility>
 
-#include "app/child_process.h"
 #include "app/json_output.h"
 #include "app/signals.h"
 #include "config/config_tree.h"
+#include "config/settings/run_config.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/process.h"
+#include "core/text.h"
 #include "eval/report/report.h"
-#include "eval/report/sweep.h"
+#include "train/run_folder.h"
 
 namespace semfield::app {
 
@@ -124,8 +126,10 @@ FolderLock lock_when_free(const std::string& folder, const SweepNote& note) {
   }
 }
 
-SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector<Cell>& cells, SweepNote note)
+SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector<Cell>& cells, SweepNote note,
+                         bool helps)
     : path_(std::move(path)), sweep_(sweep), cells_(cells), note_(std::move(note)) {
+  if (helps) return;
   const FolderLock alone = lock_when_free(path_, note_);
   remove_stale_temporaries(path_);
   const std::string folder = (fs::path(path_) / "cells").string();
@@ -181,19 +185,24 @@ double available_memory_gb() {
   return bytes == kNoMemoryLimit ? 4 : static_cast<double>(bytes) / (1 << 30);
 }
 
-struct Child {
-  FolderLock lock;  // of the cell's folder; shared with the process, so that it outlives a killed sweep
-  pid_t pid = 0;
-  const Cell* cell = nullptr;
-  Clock::time_point start;
-  std::string device;              // which it has alone; "": what its configuration says
-  bool resumed = false;            // went on from a checkpoint: what it used is not all that the cell took
-  std::unique_ptr<Server> server;  // that it runs in; null: it has a process of its own
+// A run as a cell of this process: its notes are its log.
+class LoggedRun final : public RunListener {
+ public:
+  LoggedRun(const std::string& log, const std::function<int()>& stop) : log_(log), stop_(stop) {}
+  void note(const std::string& text) override { log_ << text << '\n' << std::flush; }
+  int stop_signal() override { return stop_(); }
+  std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
+    return write_run_report(folder, session, frames);
+  }
+
+ private:
+  std::ofstream log_;
+  const std::function<int()>& stop_;
 };
 
-class Pool {
+class CellRunner {
  public:
-  Pool(const PoolOptions& options, EndedCells& ended, const PoolHooks& hooks)
+  CellRunner(const CellOptions& options, EndedCells& ended, const CellHooks& hooks)
       : options_(options),
         ended_(ended),
         hooks_(hooks),
@@ -205,96 +214,53 @@ class Pool {
       if (!cell.field_cell.empty()) wanted_fields_.push_back(cell.field_cell);
       if (!ended_.has(cell.id)) waiting_.push_back(&cell);
     }
-    bool stopping = false;
-    while (!waiting_.empty() || !running_.empty()) {
-      if (stop_signal() != 0 && !stopping) {
-        stopping = true;
-        for (const Child& child : running_) kill(child.pid, SIGTERM);
-      }
-      if (stopping) waiting_.clear();
-      if (!has_room() || !start_one()) collect();
+    while (!waiting_.empty()) {
+      if (hooks_.stop() != 0) return false;
+      const Clock::time_point look = Clock::now();
+      if (run_next()) continue;
+      // Looking takes a tenth of the time at most: a file system of a network has its price.
+      const Clock::time_point next_look =
+          Clock::now() + std::max<Clock::duration>(kCellLook, 9 * (Clock::now() - look));
+      while (Clock::now() < next_look && hooks_.stop() == 0) std::this_thread::sleep_for(kLockLook);
     }
-    return !stopping;
+    return true;
   }
 
  private:
   // A fusion with learned depth waits for its field; when that failed, it starts and says so itself.
   bool ready(const Cell& cell) const {
-    const auto is_field = [&](const Cell* c) { return c->id == cell.field_cell; };
-    return std::none_of(waiting_.begin(), waiting_.end(), is_field) &&
-           std::none_of(running_.begin(), running_.end(), [&](const Child& c) { return is_field(c.cell); });
+    return std::none_of(waiting_.begin(), waiting_.end(), [&](const Cell* c) { return c->id == cell.field_cell; });
   }
 
   bool has_room() const {
-    const auto together = static_cast<double>(running_.size() + 1);
-    if (!options_.devices.empty() && next_device().empty()) return false;
-    return running_.empty() || (std::ssize(running_) < options_.jobs && together * cell_gb_ <= memory_gb_);
+    double cell_gb = 0;
+    for (const auto& [id, values] : ended_.results)
+      for (const auto& [name, value] : values)
+        if (name == "peak_mb") cell_gb = std::max(cell_gb, value / 1024);
+    return options_.place == 0 || (options_.place + 1) * (cell_gb > 0 ? cell_gb : kFirstGuess_gb) <= memory_gb_;
   }
 
-  // "" where all are busy, and where the cells say themselves.
-  std::string next_device() const {
-    std::vector<std::string> busy;
-    for (const Child& child : running_) busy.push_back(child.device);
-    return free_device(options_.devices, busy);
-  }
-
-  std::vector<std::string> words_of(const Cell& cell, const fs::path& folder, const std::string& device) const {
-    const std::string config = (folder / "config.yaml").string(), run = (folder / "run").string();
-    const std::string threads = "runtime.threads=" + std::to_string(options_.threads);
-    std::vector<std::string> words{options_.program};
-    const std::string field = (fs::path(cell_folder(options_.folder, cell.field_cell)) / "run").string();
-    if (cell.objects) {
-      const ConfigNode root = parse_config_text(cell.config, "cell");
-      words.insert(words.end(),
-                   {"objects", field, "--out", (folder / "objects").string(), "--split", cell.split, "--score",
-                    "--json", "--set", "objects=" + write_config_inline(*root.find("objects"))});
-    } else if (!cell.fuse.method.empty()) {
-      words.insert(words.end(), {"labels", "fuse", config, "--method", cell.fuse.method, "--json"});
-      if (!cell.field_cell.empty()) words.insert(words.end(), {"--depth-from", field});
-    } else if (fs::exists(fs::path(run) / "checkpoints" / "latest")) {
-      words.insert(words.end(), {"train", "--resume", run});
-    } else {
-      words.insert(words.end(), {"train", config, "--out", run});
-    }
-    if (cell.trains() && options_.servers != nullptr) words.emplace_back("--no-3d");  // nobody looks at so many
-    words.insert(words.end(), {"--set", threads, "-q"});
-    if (!device.empty()) words.insert(words.end(), {"--set", "runtime.device=" + device});
-    for (const std::string& module : options_.modules) words.insert(words.end(), {"--plugin", module});
-    return words;
-  }
-
-  // Starts the first cell that may start and that nobody works on; forgets those that ended elsewhere. False when there
-  // is none. Nothing of a cell is touched before its lock is held.
-  bool start_one() {
-    const Clock::time_point look = Clock::now();
-    if (look < next_look_) return false;
+  // Runs the first cell that may run and that nobody works on; forgets those that ended elsewhere. False: there is
+  // none. Nothing of a cell is touched before its lock is held.
+  bool run_next() {
     std::map<std::string, std::string> theirs;
     for (auto next = waiting_.begin(); next != waiting_.end();) {
       const Cell& cell = **next;
-      if (notice_cell(ended_, options_.folder, cell.id)) {
-        next = waiting_.erase(next);
-        continue;
-      }
-      const bool ours = ready(cell) && claim(cell, theirs);
-      if (!ours) {
+      const bool known = notice_cell(ended_, options_.folder, cell.id);
+      if (!known && !(has_room() && ready(cell) && claim(cell, theirs))) {
         ++next;
         continue;
       }
-      waiting_.erase(next);
-      return true;
+      if (known || ended_.has(cell.id)) next = waiting_.erase(next);
+      if (!known) return true;
     }
-    if (running_.empty()) {
-      for (const auto& [id, waits] : theirs) {
-        if (waited_for_.insert(id).second) hooks_.waits_for(waits);
-      }
+    for (const auto& [id, waits] : theirs) {
+      if (waited_for_.insert(id).second) hooks_.waits_for(waits);
     }
-    // Looking takes a tenth of the time at most: a file system of a network has its price.
-    next_look_ = Clock::now() + std::max<Clock::duration>(kCellLook, 9 * (Clock::now() - look));
     return false;
   }
 
-  // True when the cell needs no attempt from here any more: it was started, or it has ended meanwhile. A cell that
-  // another process has is added to `theirs` in words.
+  // Runs the cell, unless another process has it: then false, and who has it is added to `theirs` in words.
   bool claim(const Cell& cell, std::map<std::string, std::string>& theirs) {
     const fs::path folder = cell_folder(options_.folder, cell.id);
     create_folders(folder.string());
@@ -309,91 +275,96 @@ class Pool {
     if (cause != 0 && cause != ENOENT) throw write_error("lock", folder.string(), cause);
     if (notice_cell(ended_, options_.folder, cell.id)) return true;  // since it was looked at
     std::error_code failed;
-    if (!fs::exists(folder / "run" / "checkpoints" / "latest")) fs::remove_all(folder / "run", failed);
+    if (!goes_on(folder)) fs::remove_all(folder / "run", failed);
     if (failed) throw write_error("remove", (folder / "run").string(), failed.value());
     of_run = {};
-    start(cell, folder, std::move(lock));
+    run(cell, folder, lock);
     return true;
   }
 
-  void start(const Cell& cell, const fs::path& folder, FolderLock lock) {
+  static bool goes_on(const fs::path& folder) { return fs::exists(folder / "run" / "checkpoints" / "latest"); }
+
+  // Leaves its result or its failure, and neither after a stop signal.
+  void run(const Cell& cell, const fs::path& folder, const FolderLock& lock) {
     write_file_atomic((folder / "config.yaml").string(), cell.config);
-    const std::string device = next_device();
-    const std::vector<std::string> words = words_of(cell, folder, device);
-    const ChildFiles files{(folder / "output.txt").string(), (folder / "log.txt").string()};
-    std::unique_ptr<Server> server;
-    pid_t pid = 0;
-    try {
-      if (options_.servers != nullptr) {
-        server = idle_server(device);
-        server->begin(words, files);
-        pid = server->pid();
-      } else {
-        pid = start_child(words, files, [&] { lock.keep_over_exec(); });
-      }
-    } catch (const Error& error) {
-      if (error.kind() != ErrorKind::unavailable) throw;
-      throw Error(error.kind(), error.code(), "cannot start a process for a cell", "give fewer --jobs");
-    }
-    lock.sign(pid);
-    const bool resumed = std::find(words.begin(), words.end(), "--resume") != words.end();
-    running_.push_back({std::move(lock), pid, &cell, Clock::now(), device, resumed, std::move(server)});
-  }
-
-  std::unique_ptr<Server> idle_server(const std::string& device) const {
-    auto idle = options_.servers->extract(device);
-    return idle ? std::move(idle.mapped()) : std::make_unique<Server>(options_.program);
-  }
-
-  // Waits until a child ends or a moment has passed.
-  void collect() {
-    for (auto child = running_.begin(); child != running_.end(); ++child) {
-      const std::optional<ProcessEnd> end = child->server ? child->server->end() : std::nullopt;
-      if (end) return collect(child, *end);
-    }
-    int status = 0;
-    rusage usage{};
-    const pid_t pid = wait4(-1, &status, WNOHANG, &usage);
-    if (pid <= 0) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-      return;
-    }
-    if (options_.servers != nullptr)
-      std::erase_if(*options_.servers, [&](const auto& idle) {
-        if (idle.second->pid() == pid) idle.second->is_gone();
-        return idle.second->pid() < 0;
-      });
-    const auto ended = std::find_if(running_.begin(), running_.end(), [&](const Child& c) { return c.pid == pid; });
-    if (ended == running_.end()) return;
-    if (ended->server) std::exchange(ended->server, nullptr)->is_gone();
-    collect(ended, process_end(status, usage));
-  }
-
-  void collect(std::vector<Child>::iterator ended, const ProcessEnd& end) {
-    Child child = std::move(*ended);  // its lock is held until all that it leaves is written
-    running_.erase(ended);
-    next_look_ = {};
-    // One whose cell failed may have lost its device, and ends.
-    if (child.server && end.status == 0) options_.servers->emplace(child.device, std::move(child.server));
-    cell_gb_ = std::max(measured_ == 0 ? 0 : cell_gb_, end.peak_mb / 1024);
-    ++measured_;
-    const Cell& cell = *child.cell;
-    CellOutcome outcome{&cell, {}, std::chrono::duration<double>(Clock::now() - child.start).count()};
-    CellValues used{{"peak_mb", end.peak_mb}};
-    if (!child.resumed) used.emplace_back("processor_s", end.processor_s);
-    const fs::path folder = cell_folder(options_.folder, cell.id);
-    if (WIFEXITED(end.status) && WEXITSTATUS(end.status) == 0) {
-      take_result(cell, folder, used, outcome);
-    } else if (stop_signal() == 0) {
-      outcome.failure = child_failure(end.status, (folder / "log.txt").string());
-    } else {
-      return;  // stopped with us
-    }
+    const Clock::time_point start = Clock::now();
+    CellValues used;
+    std::optional<std::string> failure =
+        options_.here != nullptr ? train_here(folder) : run_process(cell, folder, lock, used);
+    if (!failure) return;
+    CellOutcome outcome{&cell, std::move(*failure), std::chrono::duration<double>(Clock::now() - start).count()};
+    if (outcome.failure.empty()) take_result(cell, folder, used, outcome);
     if (!outcome.failure.empty()) {
       write_cell_failure(options_.folder, cell.id, outcome.failure);
       ended_.failures[cell.id] = outcome.failure;
     }
     hooks_.finished(outcome);
+  }
+
+  std::vector<std::string> settings() const {
+    std::vector<std::string> set{"runtime.threads=" + std::to_string(options_.threads)};
+    if (!options_.device.empty()) set.push_back("runtime.device=" + options_.device);
+    return set;
+  }
+
+  std::vector<std::string> words_of(const Cell& cell, const fs::path& folder) const {
+    const std::string config = (folder / "config.yaml").string(), run = (folder / "run").string();
+    std::vector<std::string> words{options_.program};
+    const std::string field = (fs::path(cell_folder(options_.folder, cell.field_cell)) / "run").string();
+    if (cell.objects) {
+      const ConfigNode root = parse_config_text(cell.config, "cell");
+      words.insert(words.end(),
+                   {"objects", field, "--out", (folder / "objects").string(), "--split", cell.split, "--score",
+                    "--json", "--set", "objects=" + write_config_inline(*root.find("objects"))});
+    } else if (!cell.fuse.method.empty()) {
+      words.insert(words.end(), {"labels", "fuse", config, "--method", cell.fuse.method, "--json"});
+      if (!cell.field_cell.empty()) words.insert(words.end(), {"--depth-from", field});
+    } else if (goes_on(folder)) {
+      words.insert(words.end(), {"train", "--resume", run});
+    } else {
+      words.insert(words.end(), {"train", config, "--out", run});
+    }
+    for (const std::string& setting : settings()) words.insert(words.end(), {"--set", setting});
+    words.emplace_back("-q");
+    for (const std::string& module : options_.modules) words.insert(words.end(), {"--plugin", module});
+    return words;
+  }
+
+  // How it failed, "" where it did not; none after a stop signal. `used`: what the process took.
+  std::optional<std::string> run_process(const Cell& cell, const fs::path& folder, const FolderLock& lock,
+                                         CellValues& used) const {
+    const std::string log = (folder / "log.txt").string();
+    const std::vector<std::string> words = words_of(cell, folder);
+    const ChildFiles files{(folder / "output.txt").string(), log};
+    const ProcessEnd end = end_of_child(start_child(words, files, [&] { lock.keep_over_exec(); }), hooks_.stop);
+    used = {{"peak_mb", end.peak_mb}};
+    // Of a run that went on it is not all that the cell took.
+    if (std::find(words.begin(), words.end(), "--resume") == words.end())
+      used.emplace_back("processor_s", end.processor_s);
+    if (end.status == 0) return "";
+    if (hooks_.stop() != 0) return std::nullopt;
+    return child_failure(end.status, log);
+  }
+
+  // The same for a training of this process.
+  std::optional<std::string> train_here(const fs::path& folder) const {
+    LoggedRun log((folder / "log.txt").string(), hooks_.stop);
+    TrainRequest request{.out_dir = (folder / "run").string(), .resume = goes_on(folder), .driver = Driver::command};
+    request.kept = &options_.here->kept;
+    Registry& registry = options_.here->registry;
+    try {
+      const std::string config =
+          request.resume ? RunFolder::read(request.out_dir).config_path() : (folder / "config.yaml").string();
+      const TrainOutcome outcome = Run(load_run_config(config, settings(), registry), registry, request, &log).finish();
+      return outcome.signal != 0 ? std::nullopt : std::optional<std::string>("");
+    } catch (const Error& error) {
+      log.note(shown(error));
+      if (error.code() == "device.cuda.failed") throw;  // what fails next would say nothing of its settings
+      return shown(error);
+    } catch (const std::bad_alloc&) {
+      log.note("out of memory");
+      return "out of memory";
+    }
   }
 
   static CellValues values_of(const Cell& cell, const fs::path& folder) {
@@ -417,24 +388,54 @@ class Pool {
     }
   }
 
-  const PoolOptions& options_;
+  const CellOptions& options_;
   EndedCells& ended_;
-  const PoolHooks& hooks_;
+  const CellHooks& hooks_;
   double memory_gb_;
-  double cell_gb_ = kFirstGuess_gb;
-  int measured_ = 0;
   std::deque<const Cell*> waiting_;
-  std::vector<Child> running_;
-  Clock::time_point next_look_;
   std::vector<std::string> wanted_fields_;
   std::set<std::string> waited_for_;
 };
 
+constexpr const char* kHelper = "SEMFIELD_HELPER";  // which one a process is
+
 }  // namespace
 
-bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, EndedCells& ended, const PoolHooks& hooks) {
-  install_stop_signals();
-  return Pool(options, ended, hooks).run(cells);
+bool run_cells(const std::vector<Cell>& cells, const CellOptions& options, EndedCells& ended, const CellHooks& hooks) {
+  return CellRunner(options, ended, hooks).run(cells);
+}
+
+Helpers::Helpers(int count) {
+  std::vector<std::string> words{own_program()};
+  std::ifstream own("/proc/self/cmdline");
+  std::string word;
+  for (std::getline(own, word, '\0'); std::getline(own, word, '\0');) words.push_back(word);
+  for (int number = 1; number <= count; ++number) {
+    std::string told = fmt::format("{}={}", kHelper, number);
+    std::vector<char*> environment;
+    for (char** entry = environ; *entry != nullptr; ++entry) environment.push_back(*entry);
+    environment.insert(environment.end(), {told.data(), nullptr});
+    // What stdout gets, this process says.
+    children_.emplace_back(SIGTERM).pid =
+        start_child(words, ChildStreams{-1, STDERR_FILENO, STDERR_FILENO}, {}, environment);
+  }
+}
+
+int Helpers::own_number() {
+  const char* const told = std::getenv(kHelper);
+  return told == nullptr ? 0 : to_number<int>(told).value_or(0);
+}
+
+void Helpers::stop() {
+  for (const OwnedChild& child : children_)
+    if (!stopped_) kill(child.pid, SIGTERM);
+  stopped_ = true;
+}
+
+bool Helpers::is_about_one(const std::string& text) const {
+  return std::any_of(children_.begin(), children_.end(), [&](const OwnedChild& child) {
+    return text.find(fmt::format(": process {} on ", child.pid)) != std::string::npos;
+  });
 }
 
 }  // namespace semfield::app

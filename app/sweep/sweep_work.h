@@ -1,17 +1,20 @@
-// The work on a sweep: its folder, in which several processes may be busy, on one machine or on several, and its cells
-// as processes of this program, some at a time.
+// The work on a sweep: its folder, in which several processes may be busy, on one machine or on several, and its
+// cells, of which each process runs one at a time.
 #pragma once
 
+#include <deque>
 #include <functional>
 #include <map>
-#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "app/child_process.h"
 #include "core/files.h"
+#include "core/non_copyable.h"
 #include "eval/report/sweep.h"
+#include "plugin/registry.h"
+#include "train/run.h"
 
 namespace semfield::app {
 
@@ -50,9 +53,10 @@ FolderLock lock_when_free(const std::string& folder, const SweepNote& note);
 /// are written; FOLDER/cells/.lock is shared by all processes that are at work, for as long as they are.
 class SweepFolder {
  public:
-  /// Joins the work, or begins it where nobody else is there: cells that failed before may then be tried again. Throws
-  /// Error(cannot_create) where processes of another sweep, one with other cells, are at work.
-  SweepFolder(std::string path, const Sweep& sweep, const std::vector<Cell>& cells, SweepNote note);
+  /// Joins the work, or begins it where nobody else is there: cells that failed before may then be tried again. Whoever
+  /// `helps` one that has joined does neither. Throws Error(cannot_create) where processes of another sweep, one with
+  /// other cells, are at work.
+  SweepFolder(std::string path, const Sweep& sweep, const std::vector<Cell>& cells, SweepNote note, bool helps);
 
   const std::string& path() const { return path_; }
   /// "process 4711 on HOST", which joined last, where others were at work already; else "".
@@ -70,22 +74,24 @@ class SweepFolder {
   FolderLock at_work_;
 };
 
-/// Processes that run cells and have none just now, by their devices.
-using IdleServers = std::multimap<std::string, std::unique_ptr<Server>>;
+/// With what a process trains cells itself, which load an equal scene once.
+struct TrainHere {
+  Registry& registry;
+  KeptScene kept{};
+};
 
-struct PoolOptions {
-  std::string folder;                ///< of the sweep: holds cells/<id>/
-  std::string program;               ///< whose verbs train and fuse: own_program()
-  int jobs = 1;                      ///< cells at a time
-  int threads = 1;                   ///< of each
-  double memory_gb = 0;              ///< of all together; 0: of what the machine has available, this process's part
-  int processes_of_host = 1;         ///< of the sweep, which share what is available
-  std::vector<std::string> devices;  ///< by the names of runtime.device: a cell at a time on each; none: as cells say
+/// How a process runs cells, one at a time.
+struct CellOptions {
+  std::string folder;   ///< of the sweep: holds cells/<id>/
+  std::string program;  ///< whose verbs train and fuse: own_program()
+  int threads = 1;      ///< of a cell
+  int place = 0;  ///< among the processes that share `memory_gb`: one begins where there is room for those before it
+  double memory_gb = 0;       ///< 0: of what the machine has available, this process's part
+  int processes_of_host = 1;  ///< of the sweep, which share what is available
+  std::string device;         ///< by the name of runtime.device; "": as cells say
   bool keep_checkpoints = false;
   std::vector<std::string> modules;  ///< files of plugins that cells load
-  /// Cells run one after another in processes that come from here and go back, so that a scene is loaded once; null:
-  /// each cell has a process of its own.
-  IdleServers* servers = nullptr;
+  TrainHere* here = nullptr;         ///< cells, which all train, do so in this process; null: each has one of its own
 };
 
 struct CellOutcome {
@@ -94,17 +100,35 @@ struct CellOutcome {
   double seconds = 0;
 };
 
-struct PoolHooks {
+struct CellHooks {
   std::function<void(const CellOutcome&)> finished;   ///< after each cell that ran here
   std::function<void(const std::string&)> waits_for;  ///< a sentence: whose cell is waited for when none is left to run
+  std::function<int()> stop;                          ///< 0, or the signal that asks for an end
 };
 
 /// Runs every cell that has not ended (a result.json or a failure.txt), in order. A cell whose run was stopped resumes
-/// from its checkpoint, one that failed in an earlier sweep starts anew. A cell's folder is locked by its process, so
+/// from its checkpoint, one that failed in an earlier sweep starts anew. A cell's folder is locked by who runs it, so
 /// one that another process of the sweep has, or that a killed sweep's process still has, is passed over, and waited
 /// for in the end: it is taken up here where it was left unfinished. A failed cell does not stop the others. Cells that
-/// end, here or elsewhere, are added to `ended`. Ends early, with the children's checkpoints written, when a stop
-/// signal comes; returns false then.
-bool run_cells(const std::vector<Cell>& cells, const PoolOptions& options, EndedCells& ended, const PoolHooks& hooks);
+/// end, here or elsewhere, are added to `ended`. Ends early, with the cell's checkpoint written, when a stop signal
+/// comes; returns false then. Throws the error of a GPU that cells in this process have lost.
+bool run_cells(const std::vector<Cell>& cells, const CellOptions& options, EndedCells& ended, const CellHooks& hooks);
+
+/// Processes with the words of this one, which work beside it until it ends or stops.
+class Helpers : NonCopyable {
+ public:
+  /// Starts the first to the `count`-th. Throws Error(unavailable) where no process can be had.
+  explicit Helpers(int count);
+  /// Which of them this process is; 0: none.
+  static int own_number();
+  /// Asks them to end. To be called as often as one likes.
+  void stop();
+  /// Whether a sentence names one of them as the "process 4711 on HOST" that it is about.
+  bool is_about_one(const std::string& text) const;
+
+ private:
+  std::deque<OwnedChild> children_;
+  bool stopped_ = false;
+};
 
 }  // namespace semfield::app

@@ -70,11 +70,12 @@ std::string minutes_text(double seconds) {
 
 // Where this process stands among those that work on the sweep.
 struct Place {
-  std::optional<Launched> launched;  // none: started by hand
+  std::optional<Launched> launched = semfield::launched();  // none: started by hand
+  int helper = Helpers::own_number();                       // of another process of the host; 0: of none
   int of_host() const { return launched ? launched->local_size : 1; }
   int of_all() const { return launched ? launched->size : 1; }
-  // Of several that a launcher started, one prints what is said once.
-  bool reports() const { return !launched || launched->rank == 0; }
+  // Of several that were started together, one prints what is said once.
+  bool reports() const { return helper == 0 && (!launched || launched->rank == 0); }
   std::string prefix() const { return launched ? fmt::format("rank {}: ", launched->rank) : ""; }
 };
 
@@ -120,18 +121,34 @@ int cores_of_host() {
   return quota > 0 ? std::min(quota, all) : all;
 }
 
-PoolOptions pool_options(const SweepOptions& options, const Sweep& sweep, const Place& place,
-                         const Registry& registry) {
-  PoolOptions pool;
-  pool.folder = options.out.empty() ? "runs/" + sweep.name : options.out;
-  pool.program = own_program();
-  pool.threads = std::max(1, options.threads.value_or(1));
-  pool.jobs = options.jobs.value_or(cells_at_a_time(thread_count(), cores_of_host(), place.of_host(), pool.threads));
-  pool.memory_gb = options.memory_gb.value_or(0);
-  pool.processes_of_host = place.of_host();
-  pool.keep_checkpoints = options.keep_checkpoints;
-  pool.modules = registry.module_files();
-  return pool;
+// Cells at a time of this process and its helpers, and what each of them has.
+struct Share {
+  std::vector<std::string> devices;
+  int jobs = 1, threads = 1;
+};
+
+CellOptions cell_options(const Share& share, const std::string& folder, const Place& place, const Registry& registry) {
+  CellOptions own;
+  own.folder = folder;
+  own.program = own_program();
+  own.threads = share.threads;
+  own.place = place.helper;
+  own.processes_of_host = place.of_host();
+  own.modules = registry.module_files();
+  if (!share.devices.empty()) own.device = share.devices.at(static_cast<std::size_t>(place.helper));
+  return own;
+}
+
+CellHooks hooks_of(Helpers& helpers, const Place& place, const SweepNote& note) {
+  CellHooks hooks;
+  hooks.waits_for = [&helpers, place, note](const std::string& text) {
+    if (place.reports() && !helpers.is_about_one(text)) note(text);
+  };
+  hooks.stop = [&helpers] {
+    if (stop_signal() != 0) helpers.stop();
+    return stop_signal();
+  };
+  return hooks;
 }
 
 // Lists the cells and which of them are done.
@@ -160,20 +177,20 @@ class SweepProgress {
   SweepProgress(const Sweep& sweep, const std::vector<Cell>& cells, const Place& place, AppContext& context)
       : sweep_(sweep), cells_(cells), place_(place), context_(context) {}
 
-  void begin(const PoolOptions& pool, const SweepFolder& folder, const EndedCells& ended) {
-    at_a_time_ = pool.jobs * place_.of_all();
+  void begin(const Share& share, const SweepFolder& folder, const EndedCells& ended) {
+    at_a_time_ = share.jobs * place_.of_all();
     if (!place_.reports()) return;
     const std::string processes = place_.launched ? fmt::format(" in each of {} processes", place_.of_all()) : "";
-    const std::string devices = pool.devices.empty() ? "" : " on " + join(pool.devices);
+    const std::string devices = share.devices.empty() ? "" : " on " + join(share.devices);
     print_note(
         context_,
         fmt::format("{}: {} experiments, {} cells, {} of them done; {} at a time{} with {} threads each{}, in {}",
-                    sweep_.name, sweep_.experiments.size(), cells_.size(), ended.results.size(), pool.jobs, processes,
-                    pool.threads, devices, pool.folder));
+                    sweep_.name, sweep_.experiments.size(), cells_.size(), ended.results.size(), share.jobs, processes,
+                    share.threads, devices, folder.path()));
     if (!folder.beside().empty() && !place_.launched)
       print_note(context_, folder.beside() + " works on this sweep too; they share the cells");
     const int own = hardware_threads(), cores = cores_of_host();
-    if (place_.launched && pool.devices.empty() && own < cores / place_.of_host())
+    if (place_.launched && share.devices.empty() && own < cores / place_.of_host())
       print_note(context_, fmt::format("{} lets this process use {} of {} cores (mpirun --bind-to none: all)",
                                        place_.launched->by, own, cores));
   }
@@ -224,32 +241,39 @@ class SweepProgress {
 // This process's part of the work. Throws what went wrong here, which need not go wrong in the other processes.
 int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell>& cells, const Place& place,
          AppContext& context) {
-  PoolOptions pool = pool_options(options, sweep, place, context.registry);
-  if (options.dry_run) return place.reports() ? list_cells(cells, pool.folder, sweep, context) : 0;
-  pool.devices = own_devices(options.devices, place);
-  if (!pool.devices.empty()) pool.jobs = static_cast<int>(pool.devices.size());
+  const std::string path = options.out.empty() ? "runs/" + sweep.name : options.out;
+  if (options.dry_run) return place.reports() ? list_cells(cells, path, sweep, context) : 0;
+  Share share{own_devices(options.devices, place)};
+  share.threads = std::max(1, options.threads.value_or(1));
+  share.jobs =
+      !share.devices.empty()
+          ? static_cast<int>(share.devices.size())
+          : options.jobs.value_or(cells_at_a_time(thread_count(), cores_of_host(), place.of_host(), share.threads));
+  CellOptions own = cell_options(share, path, place, context.registry);
+  own.memory_gb = options.memory_gb.value_or(0);
+  own.keep_checkpoints = options.keep_checkpoints;
 
+  install_stop_signals();
   SweepProgress progress(sweep, cells, place, context);
   const SweepNote note = [&](const std::string& text) { progress.note(text); };
-  const SweepFolder folder(pool.folder, sweep, cells, note);
+  const SweepFolder folder(path, sweep, cells, note, place.helper > 0);
   EndedCells ended;
-  for (const Cell& cell : cells) notice_cell(ended, pool.folder, cell.id);
-  progress.begin(pool, folder, ended);
-  PoolHooks hooks;
+  for (const Cell& cell : cells) notice_cell(ended, path, cell.id);
+  progress.begin(share, folder, ended);
+  const int left = static_cast<int>(cells.size() - ended.results.size() - ended.failures.size());
+  Helpers helpers(place.helper > 0 ? 0 : std::min(share.jobs, left) - 1);
+  CellHooks hooks = hooks_of(helpers, place, note);
   hooks.finished = [&](const CellOutcome& outcome) {
     folder.write_tables(ended);
     progress.finished(outcome, ended);
   };
-  hooks.waits_for = [&](const std::string& text) {
-    if (place.reports()) progress.note(text);
-  };
-  const bool whole = run_cells(cells, pool, ended, hooks);
+  const bool whole = run_cells(cells, own, ended, hooks);
   folder.write_tables(ended);
-  return progress.end(whole, pool.folder, ended);
+  return progress.end(whole, path, ended);
 }
 
 int run(const SweepOptions& options, AppContext& context) {
-  const Place place{launched()};
+  const Place place;
   bool planned = false;
   try {
     const Sweep sweep = read_sweep(options.file);
@@ -257,7 +281,7 @@ int run(const SweepOptions& options, AppContext& context) {
     planned = true;
     return work(options, sweep, cells, place, context);
   } catch (const Error& error) {
-    if (place.reports()) throw;
+    if (place.reports() || !place.launched) throw;
     // What is wrong with the file rank 0 reports for all; it gets the time, because launchers end all when one fails.
     if (planned) {
       say("semfield: " + place.prefix() + shown(error), context.terminal);
@@ -311,11 +335,12 @@ std::string space_of(const RunConfig& config) {
   return shared_file(std::string("configs/tune/") + (contracted ? "unbounded" : open ? "object" : "room") + ".yaml");
 }
 
-// Rounds as FOLDER/tune.json has them, and their cells as processes.
+// Rounds as FOLDER/tune.json has them, and their cells in this process.
 class TuneCells final : public TuneWork {
  public:
-  TuneCells(TunePlan& plan, const PoolOptions& pool, AppContext& context, bool dry)
-      : plan_(plan), pool_(pool), context_(context), dry_(dry) {
+  TuneCells(TunePlan& plan, const CellOptions& own, CellHooks hooks, AppContext& context, bool dry)
+      : plan_(plan), own_(own), hooks_(std::move(hooks)), context_(context), dry_(dry) {
+    hooks_.finished = [this](const CellOutcome& outcome) { finished(outcome); };
     const TuneChoice base(plan.axes.size(), -1);
     identity_ = fmt::format("{} {} {} {}", tune_cell(plan, base, plan.length, 0, context.registry).id, plan.time_s,
                             plan.seeds, plan.aim);
@@ -328,18 +353,19 @@ class TuneCells final : public TuneWork {
     told_ = read_record();
     if (told_.value("of", "") != identity_)
       throw Error(ErrorKind::cannot_create, "tune.folder.other",
-                  fmt::format("'{}' holds a race of another configuration, space or plan", pool.folder),
+                  fmt::format("'{}' holds a race of another configuration, space or plan", own.folder),
                   "name another folder with --out, or remove this one");
     if (!told_["rounds"].empty()) before_s_ = told_["rounds"].back()["spent_s"];
     std::error_code none;
-    for (const auto& entry : fs::directory_iterator(fs::path(pool.folder) / "cells", none))
-      forget_cell_failure(pool.folder, entry.path().filename());  // what failed is tried again
+    if (own.place == 0)
+      for (const auto& entry : fs::directory_iterator(fs::path(own.folder) / "cells", none))
+        forget_cell_failure(own.folder, entry.path().filename());  // what failed is tried again
   }
 
   TuneRound agreed(const TuneRound& wanted) override {
     FolderLock alone;
     if (!dry_) {
-      alone = lock_when_free(pool_.folder, [&](const std::string& text) { print_note(context_, text); });
+      alone = lock_when_free(own_.folder, [&](const std::string& text) { print_note(context_, text); });
       told_ = read_record();
     }
     Json& rounds = told_["rounds"];
@@ -371,10 +397,7 @@ class TuneCells final : public TuneWork {
       return imagined(round);
     }
     besides_s_ = ran_ = 0;
-    PoolHooks hooks;
-    hooks.finished = [&](const CellOutcome& outcome) { finished(outcome); };
-    hooks.waits_for = [&](const std::string& text) { print_note(context_, text); };
-    if (!run_cells(waiting, pool_, ended_, hooks)) return std::nullopt;
+    if (!run_cells(waiting, own_, ended_, hooks_)) return std::nullopt;
     TuneScores scores(cells.size());
     for (std::size_t c = 0; c < cells.size(); ++c)
       for (const Cell& cell : cells[c]) scores[c].push_back(ended_.results[cell.id]);
@@ -389,7 +412,7 @@ class TuneCells final : public TuneWork {
   std::size_t cells() const { return ids_.size(); }
 
  private:
-  std::string record() const { return (fs::path(pool_.folder) / "tune.json").string(); }
+  std::string record() const { return (fs::path(own_.folder) / "tune.json").string(); }
   Json read_record() const {
     if (dry_ || !is_there(record())) return {{"of", identity_}, {"rounds", Json::array()}};
     const Json told = Json::parse(read_text_file(record()), nullptr, false);
@@ -418,7 +441,8 @@ class TuneCells final : public TuneWork {
   }
 
   TunePlan& plan_;
-  const PoolOptions& pool_;
+  const CellOptions& own_;
+  CellHooks hooks_;
   AppContext& context_;
   bool dry_;
   std::string identity_;
@@ -468,7 +492,7 @@ TunePlan tune_plan(const TuneOptions& options, const RunConfig& config) {
 }
 
 int run(const TuneOptions& options, AppContext& context) {
-  const Place place{launched()};
+  const Place place;
   if (!place.reports()) context.quiet = true;
   const std::string path = find_config(options.config);
   const ConfigNode config = compose_config(path);
@@ -476,17 +500,14 @@ int run(const TuneOptions& options, AppContext& context) {
   TunePlan plan = tune_plan(options, read);
   plan.config = config;
   plan.path = path;
-  IdleServers servers;
-  PoolOptions pool;
-  pool.servers = &servers;
-  pool.devices = own_devices(options.devices, place);
-  pool.jobs = pool.devices.empty() ? options.jobs.value_or(1) : static_cast<int>(pool.devices.size());
-  pool.threads = std::max(1, thread_count() / pool.jobs);
-  pool.folder = options.out.empty() ? "runs/tune_" + fs::path(path).stem().string() : options.out;
-  pool.program = own_program();
-  pool.processes_of_host = place.of_host();
-  pool.modules = context.registry.module_files();
-  plan.at_a_time = pool.jobs * place.of_all();
+  Share share{own_devices(options.devices, place)};
+  share.jobs = share.devices.empty() ? options.jobs.value_or(1) : static_cast<int>(share.devices.size());
+  share.threads = std::max(1, thread_count() / share.jobs);
+  const std::string folder = options.out.empty() ? "runs/tune_" + fs::path(path).stem().string() : options.out;
+  TrainHere here{context.registry};
+  CellOptions own = cell_options(share, folder, place, context.registry);
+  own.here = &here;
+  plan.at_a_time = share.jobs * place.of_all();
 
   const fs::path beside = fs::path(options.config).parent_path() / fs::path(path).stem();
   const std::string file = options.file.empty() ? beside.string() + ".tuned.yaml" : options.file;
@@ -500,12 +521,14 @@ int run(const TuneOptions& options, AppContext& context) {
   drop_values(plan, shipped, context.registry);
 
   install_stop_signals(!context.quiet);
-  TuneCells cells(plan, pool, context, options.dry_run);
+  Helpers helpers(place.helper > 0 || options.dry_run ? 0 : share.jobs - 1);
+  const auto note = [&](const std::string& text) { print_note(context, text); };
+  TuneCells cells(plan, own, hooks_of(helpers, place, note), context, options.dry_run);
   const TuneOutcome outcome = race(plan, cells);
   if (options.dry_run) {
     if (place.reports())
-      print_results(context, {{"folder", pool.folder}, {"cells", cells.cells()}, {"time_s", cells.spent_s()}},
-                    fmt::format("tune: cells={} time_s={:.0f} folder={}", cells.cells(), cells.spent_s(), pool.folder));
+      print_results(context, {{"folder", folder}, {"cells", cells.cells()}, {"time_s", cells.spent_s()}},
+                    fmt::format("tune: cells={} time_s={:.0f} folder={}", cells.cells(), cells.spent_s(), folder));
     return 0;
   }
   if (!outcome.whole) {
@@ -514,16 +537,16 @@ int run(const TuneOptions& options, AppContext& context) {
   }
   if (!place.reports()) return 0;
   const std::string best = choice_name(plan.axes, outcome.best);
-  const std::string page = (fs::path(pool.folder) / "tune.html").string(), unit = tune_aim(plan.aim).unit;
+  const std::string page = (fs::path(folder) / "tune.html").string(), unit = tune_aim(plan.aim).unit;
   const auto [markdown, json] = tune_tables(plan, outcome);
-  write_file_atomic((fs::path(pool.folder) / "tables.md").string(), markdown);
+  write_file_atomic((fs::path(folder) / "tables.md").string(), markdown);
   write_file_atomic(page, report_page(json));
-  const bool own = is_there(options.config) || is_there(options.config + ".yaml");  // else it is a shipped one
-  const fs::path include = own ? fs::proximate(path, fs::absolute(file).parent_path()) : fs::path(path).filename();
+  const bool named = is_there(options.config) || is_there(options.config + ".yaml");  // else it is a shipped one
+  const fs::path include = named ? fs::proximate(path, fs::absolute(file).parent_path()) : fs::path(path).filename();
   const std::string words = fmt::format("semfield tune {} --time {}", options.config, options.time);
   write_file_atomic(file, tuned_config(plan, outcome, include.string(), words));
   const TuneGain& gain = outcome.gain;
-  const Json found{{"folder", pool.folder},   {"cells", cells.cells()}, {"best", best},
+  const Json found{{"folder", folder},        {"cells", cells.cells()}, {"best", best},
                    {"gain", gain.mean},       {"unit", unit},           {"noise", outcome.noise},
                    {"seeds_sure", gain.sure}, {"seeds", gain.seeds},    {"time_s", cells.spent_s()},
                    {"report", page},          {"config", file}};

@@ -182,7 +182,6 @@ int run(const TrainOptions& options, AppContext& context) {
   if (resume) request.more = asked;
   request.keep = options.keep;
   request.ranks = context.ranks.get();
-  request.kept = context.kept;
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
   ShownRun shown(context, request.out_dir, options.flat);
   install_stop_signals(!context.quiet);

@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 #include <sstream>
+#include <thread>
 
 #include "app/sweep/sweep_work.h"
 #include "config/settings/run_config.h"
@@ -387,7 +388,7 @@ class CellPool : public testing::Test {
   }
 
   bool run(const std::vector<Cell>& cells) {
-    PoolHooks hooks{.waits_for = waits_for_};
+    CellHooks hooks{.waits_for = waits_for_, .stop = [] { return 0; }};
     hooks.finished = [&](const CellOutcome& outcome) {
       outcomes_[outcome.cell->id] = outcome.failure.empty() ? "done" : outcome.failure;
     };
@@ -407,7 +408,7 @@ class CellPool : public testing::Test {
   }
 
   std::string folder_;
-  PoolOptions options_;
+  CellOptions options_;
   EndedCells ended_;
   std::map<std::string, std::string> outcomes_;
   std::function<void(const std::string&)> waits_for_ = [](const std::string& text) {
@@ -415,31 +416,45 @@ class CellPool : public testing::Test {
   };
 };
 
-TEST_F(CellPool, ACellAtATimeOnEachDevice) {
-  options_.devices = {"cuda:0", "cuda:5"};
-  options_.jobs = 2;
-  EXPECT_TRUE(run(cells(6)));
-  EXPECT_EQ(ended_.results.size(), 6U);
-  std::map<std::string, std::string> on_device;
-  std::set<std::string> ran;
-  std::size_t most = 0;
+TEST_F(CellPool, WhoWorksBesideAnotherTakesItsOwnDeviceAndOtherCells) {
+  const std::vector<Cell> six = cells(6);
+  const auto work_on = [&](const std::string& device) {
+    CellOptions own = options_;
+    own.device = device;
+    EndedCells ended;
+    EXPECT_TRUE(run_cells(six, own, ended, {[](const auto&) {}, [](const auto&) {}, [] { return 0; }}));
+    EXPECT_EQ(ended.results.size(), 6U);
+  };
+  std::thread other([&] { work_on("cuda:5"); });
+  work_on("cuda:0");
+  other.join();
+  std::set<std::string> ran, devices;
   for (const LogLine& line : log()) {
-    if (line.what == "begin") {
-      EXPECT_FALSE(on_device.contains(line.device)) << line.cell << " beside another cell on " << line.device;
-      EXPECT_TRUE(ran.insert(line.cell).second) << line.cell << " ran twice";
-      on_device[line.device] = line.cell;
-      EXPECT_NE(std::find(options_.devices.begin(), options_.devices.end(), line.device), options_.devices.end());
-    } else {
-      on_device.erase(line.device);
-    }
-    most = std::max(most, on_device.size());
+    devices.insert(line.device);
+    EXPECT_TRUE(ran.insert(line.what + line.cell).second) << line.cell << " ran twice";
   }
-  EXPECT_EQ(ran.size(), 6U);
-  EXPECT_EQ(most, 2U) << "one of the devices was never used beside the other";
+  EXPECT_EQ(ran.size(), 12U);
+  EXPECT_EQ(devices, (std::set<std::string>{"cuda:0", "cuda:5"}));
 }
 
-TEST_F(CellPool, WithoutDevicesCellsRunWhereTheyWant) {
-  options_.jobs = 2;
+// As many as the largest cell that has ended leaves room for.
+TEST_F(CellPool, WhoHasNoRoomBesideTheOthersWaits) {
+  options_.memory_gb = 3;
+  options_.place = 1;
+  create_folders(cell_folder(options_.folder, "cell0"));
+  write_cell_result(cell_folder(options_.folder, "cell0") + "/result.json", {{"psnr", 7.0}, {"peak_mb", 2048}});
+  waits_for_ = [](const std::string&) {};
+  int looks = 0;
+  const std::vector<Cell> two = cells(2);
+  (void)notice_cell(ended_, options_.folder, "cell0");
+  EXPECT_FALSE(
+      run_cells(two, options_, ended_, {[](const auto&) {}, waits_for_, [&] { return ++looks > 3 ? 15 : 0; }}));
+  EXPECT_EQ(ended_.results.size(), 1U);
+  options_.memory_gb = 4;
+  EXPECT_TRUE(run(two));
+}
+
+TEST_F(CellPool, WithoutADeviceCellsRunWhereTheyWant) {
   EXPECT_TRUE(run(cells(2)));
   for (const LogLine& line : log()) EXPECT_EQ(line.device, "none");
   EXPECT_EQ(log().size(), 4U);
@@ -553,15 +568,6 @@ TEST(HostShare, EveryDeviceIsOfOneProcess) {
   EXPECT_TRUE(devices_of_process({"cuda:0"}, 1, 2).empty());
 }
 
-TEST(HostShare, TheNextCellGoesToTheFirstFreeDevice) {
-  const Names two{"cuda:0", "cuda:3"};
-  EXPECT_EQ(free_device(two, {}), "cuda:0");
-  EXPECT_EQ(free_device(two, {"cuda:0"}), "cuda:3");
-  EXPECT_EQ(free_device(two, {"cuda:3"}), "cuda:0");
-  EXPECT_EQ(free_device(two, {"cuda:3", "cuda:0"}), "");
-  EXPECT_EQ(free_device({}, {}), "");
-}
-
 TEST(HostShare, DevicesByNumberOrName) {
   EXPECT_EQ(device_names({"0", "cuda:2"}), (Names{"cuda:0", "cuda:2"}));
   const auto refusal = [](const Names& words) -> std::string {
@@ -585,7 +591,6 @@ TEST_F(CellPool, ObjectsWaitForTheirRun) {
   all[0].objects = true;
   all[0].field_cell = "cell1";
   all[0].config = "objects: {reach: 0.125, stuff: [wall]}\n";
-  options_.jobs = 2;
   ASSERT_TRUE(run(all));
   EXPECT_EQ(outcomes_["cell0"], "done");
   EXPECT_EQ(outcomes_["cell1"], "done");

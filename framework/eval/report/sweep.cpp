@@ -745,14 +745,6 @@ std::vector<std::string> devices_of_process(const std::vector<std::string>& devi
   return own;
 }
 
-std::string free_device(const std::vector<std::string>& devices, const std::vector<std::string>& busy) {
-  const auto is_free = [&](const std::string& device) {
-    return std::find(busy.begin(), busy.end(), device) == busy.end();
-  };
-  const auto found = std::find_if(devices.begin(), devices.end(), is_free);
-  return found == devices.end() ? "" : *found;
-}
-
 std::vector<std::string> device_names(const std::vector<std::string>& words) {
   std::vector<std::string> names;
   for (const std::string& word : words) {

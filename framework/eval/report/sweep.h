@@ -193,9 +193,6 @@ int cells_at_a_time(int own, int cores, int processes, int threads);
 /// process, and none is left over.
 std::vector<std::string> devices_of_process(const std::vector<std::string>& devices, int rank, int size);
 
-/// The device for the next cell: the first that is not in `busy`, "" where all are.
-std::string free_device(const std::vector<std::string>& devices, const std::vector<std::string>& busy);
-
 /// Names of devices as `runtime.device` takes them, from "0" or "cuda:0". Throws Error(usage) for anything else and for
 /// one named twice.
 std::vector<std::string> device_names(const std::vector<std::string>& words);
