@@ -1,5 +1,6 @@
 // What the program says of itself: its words, keys and plugins, and how well they hold and how fast they are.
 #include <fmt/format.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -20,7 +21,6 @@
 
 #include "app/app_context.h"
 #include "app/bench/bench.h"
-#include "app/child_process.h"
 #include "app/command_line.h"
 #include "app/json_output.h"
 #include "app/numerics_suite.h"
@@ -38,108 +38,11 @@
 #include "plugin/reference.h"
 #include "train/assembly.h"
 
-namespace semfield {
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(LawRow, kind, name, settings, build, status, found)
-}
-
 namespace semfield::app {
 
 // plugins: lists, parameters, and laws checked in a process of their own, which a plugin may end.
 
 namespace {
-
-// What the process that asks the laws says to the one that started it: an object per line. "begun" and "ended" hold a
-// row, "law" the name of one of its laws; "told" says that it ends by an error, which it prints; "done" says that every
-// law was asked.
-void send(int pipe, const char* what, const nlohmann::json& value) {
-  const std::string line =
-      nlohmann::json{{what, value}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
-  for (std::size_t at = 0; at < line.size();) {
-    const ssize_t written = write(pipe, line.data() + at, line.size() - at);
-    if (written < 0 && errno != EINTR) _exit(1);  // nobody listens any more
-    at += static_cast<std::size_t>(std::max<ssize_t>(written, 0));
-  }
-}
-
-// What `laws` throws goes on to main(), which prints it.
-void ask(int pipe, const std::function<void(LawRequest&)>& laws) {
-  LawRequest request;
-  request.on_begin = [&](const LawRow& row) { send(pipe, "begun", row); };
-  request.on_law = [&](const std::string& law) { send(pipe, "law", law); };
-  request.on_row = [&](const LawRow& row) { send(pipe, "ended", row); };
-  try {
-    laws(request);
-  } catch (...) {
-    send(pipe, "told", true);
-    throw;
-  }
-  send(pipe, "done", true);
-}
-
-std::string how_it_ended(int status) {
-  if (WIFEXITED(status)) return fmt::format("it ended the process with exit code {}", WEXITSTATUS(status));
-  return fmt::format("it ended the process by signal {} ({})", WTERMSIG(status), strsignal(WTERMSIG(status)));
-}
-
-// Calls `laws` in a process forked from this one, so before any thread is there, and `on_row` here for each row that
-// it tells of. A process that ends before `laws` has returned, whatever its exit code, breaks the law under way: the
-// last row says so. Returns its exit code, 0 where it printed no error. Throws Error(unavailable) for a process
-// that ends before the first law: `file` did not load.
-int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&)>& laws,
-                   const std::function<void(const LawRow&)>& on_row) {
-  std::fflush(nullptr);
-  Pipe pipe = open_pipe("semfield");
-  const pid_t parent = getpid(), pid = fork();
-  if (pid < 0)
-    throw Error(ErrorKind::unavailable, "system.process.limit", "no process can be started",
-                "see what limits them: ulimit -a");
-  if (pid == 0) {
-    prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
-    if (getppid() != parent) _exit(128 + SIGTERM);
-    pipe.read = -1;
-    ask(pipe.write, laws);
-    std::fflush(nullptr);
-    _exit(0);
-  }
-  pipe.write = -1;
-  std::optional<LawRow> under_way;
-  std::string law;
-  bool begun = false, told = false, done = false;
-  std::FILE* const lines = fdopen(dup(pipe.read), "r");
-  char* line = nullptr;
-  for (std::size_t room = 0; getline(&line, &room, lines) > 0;) {
-    const nlohmann::json said = nlohmann::json::parse(line, nullptr, false);
-    if (!said.is_object()) continue;
-    if (said.contains("begun")) under_way = said["begun"].get<LawRow>();
-    if (said.contains("begun")) law.clear();
-    if (said.contains("law")) law = said["law"].get<std::string>();
-    begun = begun || under_way;
-    if (said.contains("ended")) {
-      under_way.reset();
-      on_row(said["ended"].get<LawRow>());
-    }
-    told = told || said.contains("told");
-    done = done || said.contains("done");
-  }
-  std::free(line);
-  std::fclose(lines);
-  int status = 0;
-  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
-  }
-  if (done) return 0;
-  if (told) return WIFEXITED(status) ? WEXITSTATUS(status) : static_cast<int>(ErrorKind::internal);
-  if (!begun) {
-    throw Error(ErrorKind::unavailable, "plugin.module.ended",
-                "cannot load plugin '" + file + "': " + how_it_ended(status),
-                "fix it: a module registers its plugins, and no more");
-  }
-  LawRow row = under_way.value_or(LawRow{});
-  row.status = LawStatus::failed;
-  row.found = {how_it_ended(status) +
-               (law.empty() ? " before the law was asked to its end" : " in the law '" + law + "'")};
-  on_row(row);
-  return 0;
-}
 
 Json entry_json(const PluginEntry& entry) {
   Json json{
@@ -196,12 +99,6 @@ const char* word_of(LawStatus status) {
   return status == LawStatus::failed ? "FAILED" : "refused";
 }
 
-// What the row is about, behind kind and name.
-std::string subject_of(const LawRow& row) {
-  if (row.settings.empty()) return "declaration";
-  return row.build.empty() ? row.settings : row.settings + ", " + row.build;
-}
-
 // The plugins of the file, in a registry of their own: the program's may have it from --plugin already.
 std::vector<const PluginEntry*> load(const std::string& file, Registry& registry) {
   register_linked_plugins(registry);
@@ -224,42 +121,108 @@ Json json_of(const LawRow& row) {
           {"status", word_of(row.status)}, {"found", row.found}};
 }
 
-void print_row(const LawRow& row) {
-  std::printf("%-8s %-16s %-40s %s\n", std::string(kind_name(row.kind)).c_str(), row.name.c_str(),
-              subject_of(row).c_str(), word_of(row.status));
-  for (const std::string& sentence : row.found) std::printf("    %s\n", sentence.c_str());
+void print_row(const Json& row) {
+  const auto text = [&](const char* key) { return row[key].get<std::string>(); };
+  std::string subject = text("settings").empty() ? "declaration" : text("settings");
+  if (!text("build").empty()) subject += ", " + text("build");
+  fmt::print("{:<8} {:<16} {:<40} {}\n", text("kind"), text("name"), subject, text("status"));
+  for (const Json& sentence : row["found"]) fmt::print("    {}\n", sentence.get<std::string>());
   std::fflush(stdout);
 }
 
-void ask_laws(const CheckOptions& options, LawRequest& request) {
+// What the process that asks the laws leaves to the one that started it, however it ends: `rows`, the last of which is
+// being asked where it is `open`; which `law` of it; `told`: it ended by an error, which it prints; `done`: every law
+// was asked.
+void leave(int memory, const Json& asked) {
+  const std::string text = json_text(asked);
+  const bool left = pwrite(memory, text.data(), text.size(), 0) == std::ssize(text) &&
+                    ftruncate(memory, static_cast<off_t>(text.size())) == 0;
+  if (!left) throw write_error("write", "a file in memory", errno);
+}
+
+// Leaves what it is about before each law. What the laws throw goes on to main(), which prints it.
+void ask_laws(const CheckOptions& options, bool silent, int memory) {
+  Json asked{{"rows", Json::array()}};
   const auto suite =
       reinterpret_cast<LawSuite>(part_symbol("semfield_laws", kLawSuiteSymbol, "the laws cannot be loaded"));
   Registry registry;
-  request.entries = load(options.file, registry);
-  request.settings_file = options.settings;
-  request.scene = options.scene;
-  request.folder = std::filesystem::current_path().string();
-  suite(registry, request);
+  LawRequest request;
+  request.on_begin = [&](const LawRow& row) {
+    asked["rows"].push_back(json_of(row));
+    asked.update({{"open", true}, {"law", ""}});
+    leave(memory, asked);
+  };
+  request.on_law = [&](const std::string& law) {
+    asked["law"] = law;
+    leave(memory, asked);
+  };
+  request.on_row = [&](const LawRow& row) {
+    if (asked.value("open", false)) asked["rows"].erase(asked["rows"].size() - 1);
+    asked["rows"].push_back(json_of(row));
+    asked["open"] = false;
+    if (!silent) print_row(asked["rows"].back());
+    leave(memory, asked);
+  };
+  try {
+    request.entries = load(options.file, registry);
+    request.settings_file = options.settings;
+    request.scene = options.scene;
+    request.folder = std::filesystem::current_path().string();
+    suite(registry, request);
+  } catch (...) {
+    asked["told"] = true;
+    leave(memory, asked);
+    throw;
+  }
+  asked["done"] = true;
+  leave(memory, asked);
 }
 
+std::string how_it_ended(int status) {
+  if (WIFEXITED(status)) return fmt::format("it ended the process with exit code {}", WEXITSTATUS(status));
+  return fmt::format("it ended the process by signal {} ({})", WTERMSIG(status), strsignal(WTERMSIG(status)));
+}
+
+// A process that ends before every law was asked, whatever its exit code, breaks the law under way.
 int run(const CheckOptions& options, AppContext& context) {
-  std::vector<LawRow> rows;
-  const int told = ask_laws_apart(
-      options.file, [&](LawRequest& request) { ask_laws(options, request); },
-      [&](const LawRow& row) {
-        rows.push_back(row);
-        if (!context.json) print_row(row);
-      });
-  if (told != 0) return told;
-  const auto count = [&](LawStatus status) {
-    return std::count_if(rows.begin(), rows.end(), [&](const LawRow& row) { return row.status == status; });
+  const FileDescriptor memory(memfd_create("laws", MFD_CLOEXEC));
+  leave(memory, {{"rows", Json::array()}});
+  std::fflush(nullptr);
+  const pid_t parent = getpid(), pid = fork();  // before any thread is there
+  if (pid < 0)
+    throw Error(ErrorKind::unavailable, "system.process.limit", "no process can be started",
+                "see what limits them: ulimit -a");
+  if (pid == 0) {
+    prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
+    if (getppid() != parent) _exit(128 + SIGTERM);
+    ask_laws(options, context.json, memory);
+    std::fflush(nullptr);
+    _exit(0);
+  }
+  int status = 0;
+  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+  }
+  Json asked = Json::parse(read_text_file(fmt::format("/proc/self/fd/{}", static_cast<int>(memory))));
+  Json& rows = asked["rows"];
+  if (asked.contains("told")) return WIFEXITED(status) ? WEXITSTATUS(status) : static_cast<int>(ErrorKind::internal);
+  if (!asked.contains("done")) {
+    if (rows.empty())
+      throw Error(ErrorKind::unavailable, "plugin.module.ended",
+                  "cannot load plugin '" + options.file + "': " + how_it_ended(status),
+                  "fix it: a module registers its plugins, and no more");
+    const std::string law = asked.value("law", "");
+    if (!asked.value("open", false)) rows.push_back(json_of({}));
+    rows.back()["status"] = word_of(LawStatus::failed);
+    rows.back()["found"] = Json::array(
+        {how_it_ended(status) + (law.empty() ? " before the law was asked to its end" : " in the law '" + law + "'")});
+    if (!context.json) print_row(rows.back());
+  }
+  const auto count = [&](LawStatus wanted) {
+    return std::count_if(rows.begin(), rows.end(), [&](const Json& row) { return row["status"] == word_of(wanted); });
   };
   const auto passed = count(LawStatus::passed), failed = count(LawStatus::failed), refused = count(LawStatus::refused);
-  Json told_rows = Json::array();
-  for (const LawRow& row : rows) told_rows.push_back(json_of(row));
   print_results(
-      context,
-      {{"file", options.file}, {"passed", passed}, {"failed", failed}, {"refused", refused}, {"rows", told_rows}},
+      context, {{"file", options.file}, {"passed", passed}, {"failed", failed}, {"refused", refused}, {"rows", rows}},
       fmt::format("plugins check: passed={} failed={} refused={} file={}", passed, failed, refused, options.file));
   return failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
 }
