@@ -59,10 +59,7 @@ Json results(const OpenedRun& run, const SplitScore& score, const std::string& s
   for (std::size_t c = 0; c < classes.size(); ++c)
     out["per_class_iou"][table.valid(static_cast<int>(c)).name] = number_json<Json>(classes[c].iou);
   // Confusion matrix, reliability bins and scores of every frame, as in a run folder's final_eval.json.
-  FinalEval detail = final_eval(score, table, split);
-  detail.step = run.step;
-  detail.train_s = run.train_s;
-  out.update(Json::parse(final_eval_json(detail)));
+  out.update(Json::parse(final_eval_json(score, table, split, run.step, run.train_s)));
   return out;
 }
 

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <cmath>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
@@ -35,16 +34,14 @@ std::int64_t pixels_of(const Json& json) { return integer_of(json, 0, kMostPixel
 
 std::int32_t id_of(const Json& json) { return static_cast<std::int32_t>(integer_of(json, 0, 65535)); }
 
-double share_of(const Json& json) {
+void check_share(const Json& json) {
   const double share = json.is_null() ? 0 : json.get<double>();
   if (!(share >= 0 && share <= 1 + 1e-6)) throw std::out_of_range(fmt::format("{} lies outside 0 to 1", share));
-  return share;
 }
 
-std::optional<double> score_of(const Json& json) {
+void check_score(const Json& json) {
   std::optional<double> value;
   if (!read_number_json(json, value)) throw std::out_of_range(json.dump() + " is not a score");
-  return value;
 }
 
 // Calls read(parsed) and turns every complaint into one that names the file.
@@ -59,44 +56,11 @@ auto parse(std::string_view text, const std::string& name, Read&& read) {
   }
 }
 
-Json confusion_json(const FinalEval& eval) {
-  Json out, rows = Json::array();
-  for (std::size_t t = 0; t < eval.classes.size(); ++t) {
-    Json row = Json::array();
-    for (std::size_t p = 0; p < eval.classes.size(); ++p) row.push_back(eval.count(t, p));
-    rows.push_back(std::move(row));
-  }
-  out["pixels"] = std::move(rows);
-  out["void_truth_pixels"] = eval.void_truth_px;
-  out["void_predicted_pixels"] = eval.void_predicted_px;
-  return out;
-}
-
-Json reliability_json(const FinalEval& eval) {
-  Json out, bins = Json::array();
-  for (const FinalEval::Bin& bin : eval.bins) {
-    const auto share = [&](double value) { return bin.pixels > 0 ? Json(value) : Json(nullptr); };
-    bins.push_back({{"pixels", bin.pixels}, {"confidence", share(bin.confidence)}, {"accuracy", share(bin.accuracy)}});
-  }
-  out["bins"] = std::move(bins);
-  out["nonfinite_pixels"] = eval.nonfinite_px;
-  return out;
-}
-
 }  // namespace
 
-std::optional<double> FinalEval::ece() const {
-  double sum = 0, pixels = 0;
-  for (const Bin& bin : bins) {
-    sum += static_cast<double>(bin.pixels) * std::abs(bin.accuracy - bin.confidence);
-    pixels += static_cast<double>(bin.pixels);
-  }
-  return pixels > 0 && nonfinite_px == 0 ? std::optional(sum / pixels) : std::nullopt;
-}
-
-FinalEval final_eval(const SplitScore& score, const ClassTable& table, std::string split) {
-  FinalEval eval;
-  eval.split = std::move(split);
+std::string final_eval_json(const SplitScore& score, const ClassTable& table, const std::string& split,
+                            std::int64_t step, double train_s) {
+  Json out{{"split", split}, {"step", step}, {"train_s", train_s}, {"classes", Json::array()}};
   const std::vector<ClassScore> scores = score.confusion.per_class();
   std::vector<int> present;
   for (int c = 0; c < score.confusion.classes(); ++c) {
@@ -104,96 +68,77 @@ FinalEval final_eval(const SplitScore& score, const ClassTable& table, std::stri
     if (k.truth_px == 0 && k.predicted_px == 0) continue;
     present.push_back(c);
     const ClassEntry& entry = table.valid(c);
-    eval.classes.push_back({entry.id, entry.name, entry.color});
+    out["classes"].push_back({{"id", entry.id}, {"name", entry.name}, {"color", entry.color}});
   }
+  Json rows = Json::array(), bins = Json::array(), frames = Json::array();
   for (const int truth : present) {
-    for (const int predicted : present) eval.confusion.push_back(score.confusion.count(truth, predicted));
+    Json& row = rows.emplace_back(Json::array());
+    for (const int predicted : present) row.push_back(score.confusion.count(truth, predicted));
   }
-  eval.void_truth_px = score.confusion.void_truth_px();
-  eval.void_predicted_px = score.confusion.void_predicted_px();
-  eval.nonfinite_px = score.calibration.nonfinite();
-  if (score.calibration.scored_px() > 0) {
+  out["confusion"] = {{"pixels", std::move(rows)},
+                      {"void_truth_pixels", score.confusion.void_truth_px()},
+                      {"void_predicted_pixels", score.confusion.void_predicted_px()}};
+  if (score.calibration.scored_px() > 0)
     for (const Calibration::Bin& bin : score.calibration.bins()) {
-      const double pixels = bin.pixels > 0 ? static_cast<double>(bin.pixels) : 1;
-      eval.bins.push_back({bin.pixels, bin.confidence / pixels, static_cast<double>(bin.correct) / pixels});
+      const auto mean = [&](double sum) {
+        return bin.pixels > 0 ? Json(sum / static_cast<double>(bin.pixels)) : Json(nullptr);
+      };
+      bins.push_back({{"pixels", bin.pixels},
+                      {"confidence", mean(bin.confidence)},
+                      {"accuracy", mean(static_cast<double>(bin.correct))}});
     }
-  }
-  eval.entropy_auroc = score.entropy.detects_wrong();
-  eval.resolution = score.resolution;
-  eval.frames = score.frames;
-  return eval;
-}
-
-std::string final_eval_json(const FinalEval& eval) {
-  Json out;
-  out["split"] = eval.split;
-  out["step"] = eval.step;
-  out["train_s"] = eval.train_s;
-  Json& classes = out["classes"] = Json::array();
-  for (const FinalEval::Class& c : eval.classes)
-    classes.push_back({{"id", c.id}, {"name", c.name}, {"color", c.color}});
-  out["confusion"] = confusion_json(eval);
-  out["reliability"] = reliability_json(eval);
-  const std::optional<Auroc>& auroc = eval.entropy_auroc;
+  out["reliability"] = {{"bins", std::move(bins)}, {"nonfinite_pixels", score.calibration.nonfinite()}};
+  const std::optional<Auroc> auroc = score.entropy.detects_wrong();
   out["entropy"] = {{"auroc", auroc ? Json(auroc->value) : Json(nullptr)},
                     {"auroc_error", auroc ? Json(auroc->error) : Json(nullptr)}};
-  out["opacity"] = {{"opaque_pixels", eval.resolution.opaque_px},
-                    {"under_resolved_pixels", eval.resolution.under_resolved_px}};
-  Json& frames = out["per_frame"] = Json::array();
-  for (const FrameScore& frame : eval.frames) {
+  out["opacity"] = {{"opaque_pixels", score.resolution.opaque_px},
+                    {"under_resolved_pixels", score.resolution.under_resolved_px}};
+  for (const FrameScore& frame : score.frames) {
     frames.push_back({{"frame", frame.name},
                       {"psnr", number_json<Json>(frame.psnr_db)},
                       {"miou_present", number_json<Json>(frame.miou_present)},
                       {"absrel", number_json<Json>(frame.absrel)}});
   }
+  out["per_frame"] = std::move(frames);
   return out.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-FinalEval parse_final_eval(std::string_view text, const std::string& name) {
+std::int64_t check_final_eval(std::string_view text, const std::string& name) {
   return parse(text, name, [](const Json& json) {
-    FinalEval eval;
-    eval.split = json.at("split").get<std::string>();
-    eval.step = integer_of(json.at("step"), 0, kMostPixels);
-    eval.train_s = json.at("train_s").get<double>();
-    for (const Json& row : json.at("classes")) {
-      FinalEval::Class& c = eval.classes.emplace_back();
-      c.id = id_of(row.at("id"));
-      c.name = row.at("name").get<std::string>();
-      for (std::size_t channel = 0; channel < c.color.size(); ++channel)
-        c.color[channel] = static_cast<std::uint8_t>(integer_of(row.at("color").at(channel), 0, 255));
+    (void)json.at("split").get<std::string>();
+    (void)json.at("train_s").get<double>();
+    const Json &classes = json.at("classes"), &confusion = json.at("confusion"), &rows = confusion.at("pixels");
+    for (const Json& row : classes) {
+      (void)id_of(row.at("id"));
+      (void)row.at("name").get<std::string>();
+      for (std::size_t channel = 0; channel < 3; ++channel) (void)integer_of(row.at("color").at(channel), 0, 255);
     }
-    const Json& confusion = json.at("confusion");
-    const Json& rows = confusion.at("pixels");
-    const std::size_t classes = eval.classes.size();
-    if (!rows.is_array() || rows.size() != classes)
-      throw std::out_of_range(fmt::format("the confusion matrix has {} rows for {} classes", rows.size(), classes));
+    if (!rows.is_array() || rows.size() != classes.size())
+      throw std::out_of_range(
+          fmt::format("the confusion matrix has {} rows for {} classes", rows.size(), classes.size()));
     for (const Json& row : rows) {
-      if (!row.is_array() || row.size() != classes)
+      if (!row.is_array() || row.size() != classes.size())
         throw std::out_of_range(
-            fmt::format("a row of the confusion matrix has {} entries for {} classes", row.size(), classes));
-      for (const Json& pixels : row) eval.confusion.push_back(pixels_of(pixels));
+            fmt::format("a row of the confusion matrix has {} entries for {} classes", row.size(), classes.size()));
+      for (const Json& pixels : row) (void)pixels_of(pixels);
     }
-    eval.void_truth_px = pixels_of(confusion.at("void_truth_pixels"));
-    eval.void_predicted_px = pixels_of(confusion.at("void_predicted_pixels"));
+    for (const char* what : {"void_truth_pixels", "void_predicted_pixels"}) (void)pixels_of(confusion.at(what));
     const Json& reliability = json.at("reliability");
     for (const Json& bin : reliability.at("bins")) {
-      eval.bins.push_back({pixels_of(bin.at("pixels")), share_of(bin.at("confidence")), share_of(bin.at("accuracy"))});
+      (void)pixels_of(bin.at("pixels"));
+      for (const char* what : {"confidence", "accuracy"}) check_share(bin.at(what));
     }
-    eval.nonfinite_px = pixels_of(reliability.at("nonfinite_pixels"));
-    if (json.contains("entropy") && !json.at("entropy").at("auroc").is_null())
-      eval.entropy_auroc = {share_of(json.at("entropy").at("auroc")), share_of(json.at("entropy").at("auroc_error"))};
-    if (json.contains("opacity")) {
-      eval.resolution.opaque_px = pixels_of(json.at("opacity").at("opaque_pixels"));
-      eval.resolution.under_resolved_px = pixels_of(json.at("opacity").at("under_resolved_pixels"));
-    }
+    (void)pixels_of(reliability.at("nonfinite_pixels"));
+    // Versions before did not count these.
+    if (json.contains("entropy"))
+      for (const char* what : {"auroc", "auroc_error"}) check_share(json.at("entropy").at(what));
+    if (json.contains("opacity"))
+      for (const char* what : {"opaque_pixels", "under_resolved_pixels"}) (void)pixels_of(json.at("opacity").at(what));
     for (const Json& row : json.at("per_frame")) {
-      FrameScore& frame = eval.frames.emplace_back();
-      frame.name = row.at("frame").get<std::string>();
-      frame.psnr_db = score_of(row.at("psnr"));
-      frame.miou_present = score_of(row.at("miou_present"));
-      frame.absrel = score_of(row.at("absrel"));
+      (void)row.at("frame").get<std::string>();
+      for (const char* what : {"psnr", "miou_present", "absrel"}) check_score(row.at(what));
     }
-    return eval;
+    return integer_of(json.at("step"), 0, kMostPixels);
   });
 }
 
@@ -238,57 +183,42 @@ std::vector<SelfTrainingRound> parse_rounds(std::string_view text, const std::st
   return parse(text, name, rounds_of);
 }
 
-LabelCounts label_counts(const SceneManifest& manifest, const ClassTable& table,
-                         std::vector<TrainingLabels::Step> steps) {
-  LabelCounts counts;
-  counts.steps = std::move(steps);
-  counts.train_frames = manifest.train_frames;
-  counts.labelled_frames = manifest.labelled_frames;
-  counts.train_px = manifest.train_pixels;
+std::string label_counts_json(const SceneManifest& manifest, const ClassTable& table,
+                              const std::vector<TrainingLabels::Step>& steps,
+                              const std::vector<SelfTrainingRound>& rounds) {
+  Json classes = Json::array(), done = Json::array();
+  std::int64_t labelled_px = 0;
   for (std::size_t c = 0; c < manifest.train_class_pixels.size(); ++c) {
     const ClassEntry& entry = table.valid(static_cast<int>(c));
-    counts.classes.push_back({entry.id, entry.name, manifest.train_class_pixels[c]});
-    counts.labelled_px += manifest.train_class_pixels[c];
+    classes.push_back({{"id", entry.id}, {"name", entry.name}, {"pixels", manifest.train_class_pixels[c]}});
+    labelled_px += manifest.train_class_pixels[c];
   }
-  return counts;
-}
-
-std::string label_counts_json(const LabelCounts& counts) {
-  Json out;
-  out["train_frames"] = counts.train_frames;
-  out["labelled_frames"] = counts.labelled_frames;
-  out["train_pixels"] = counts.train_px;
-  out["labelled_pixels"] = counts.labelled_px;
-  Json& classes = out["classes"] = Json::array();
-  for (const LabelCounts::Class& c : counts.classes)
-    classes.push_back({{"id", c.id}, {"name", c.name}, {"pixels", c.pixels}});
-  Json& steps = out["degrade"] = Json::array();
-  for (const TrainingLabels::Step& step : counts.steps) {
+  for (const TrainingLabels::Step& step : steps) {
     Json facts = Json::object();
     for (const auto& [name, value] : step.facts) facts[name] = value;
-    steps.push_back({{"type", step.type}, {"facts", std::move(facts)}});
+    done.push_back({{"type", step.type}, {"facts", std::move(facts)}});
   }
-  if (!counts.rounds.empty()) out["self_training"] = rounds_to_json(counts.rounds);
+  Json out{{"train_frames", manifest.train_frames}, {"labelled_frames", manifest.labelled_frames},
+           {"train_pixels", manifest.train_pixels}, {"labelled_pixels", labelled_px},
+           {"classes", std::move(classes)},         {"degrade", std::move(done)}};
+  if (!rounds.empty()) out["self_training"] = rounds_to_json(rounds);
   return out.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-LabelCounts parse_label_counts(std::string_view text, const std::string& name) {
+std::vector<SelfTrainingRound> check_label_counts(std::string_view text, const std::string& name) {
   return parse(text, name, [](const Json& json) {
-    LabelCounts counts;
-    counts.train_frames = pixels_of(json.at("train_frames"));
-    counts.labelled_frames = pixels_of(json.at("labelled_frames"));
-    counts.train_px = pixels_of(json.at("train_pixels"));
-    counts.labelled_px = pixels_of(json.at("labelled_pixels"));
+    for (const char* what : {"train_frames", "labelled_frames", "train_pixels", "labelled_pixels"})
+      (void)pixels_of(json.at(what));
     for (const Json& row : json.at("classes")) {
-      counts.classes.push_back({id_of(row.at("id")), row.at("name").get<std::string>(), pixels_of(row.at("pixels"))});
+      (void)id_of(row.at("id"));
+      (void)row.at("name").get<std::string>();
+      (void)pixels_of(row.at("pixels"));
     }
-    for (const Json& row : json.value("degrade", Json::array())) {
-      TrainingLabels::Step& step = counts.steps.emplace_back();
-      step.type = row.at("type").get<std::string>();
-      for (const auto& [fact, value] : row.at("facts").items()) step.facts.emplace_back(fact, value.get<std::string>());
+    for (const Json& row : json.at("degrade")) {
+      (void)row.at("type").get<std::string>();
+      for (const auto& [fact, value] : row.at("facts").items()) (void)value.get<std::string>();
     }
-    counts.rounds = rounds_of(json.value("self_training", Json::array()));
-    return counts;
+    return rounds_of(json.value("self_training", Json::array()));
   });
 }
 

@@ -269,7 +269,7 @@ std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& 
   if (!fs::exists(folder.report_path())) return std::nullopt;
   // A scene without test frames has no last evaluation.
   if (fs::exists(folder.final_eval_path()) &&
-      parse_final_eval(read_text_file(folder.final_eval_path()), folder.final_eval_path()).step != point.step())
+      check_final_eval(read_text_file(folder.final_eval_path()), folder.final_eval_path()) != point.step())
     return std::nullopt;
   TrainOutcome outcome;
   outcome.step = point.step();

@@ -204,9 +204,8 @@ void Run::write_records(const RunFolder& folder) {
 }
 
 void Run::write_label_counts(const RunFolder& folder) const {
-  LabelCounts counts = label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps);
-  counts.rounds = self_training_->rounds();
-  write_file_atomic(folder.labels_path(), label_counts_json(counts));
+  write_file_atomic(folder.labels_path(), label_counts_json(session_.manifest, session_.scene.info.classes,
+                                                            session_.labels.steps, self_training_->rounds()));
 }
 
 std::span<const StepLosses> Run::advance(std::int64_t most) {

@@ -46,12 +46,6 @@ std::int32_t most_stride(const EvalJob& job, std::int64_t least_px) {
   return most;
 }
 
-void write_final_eval(const RunFolder& folder, FinalEval detail, std::int64_t step, double train_s) {
-  detail.step = step;
-  detail.train_s = train_s;
-  write_file_atomic(folder.final_eval_path(), final_eval_json(detail));
-}
-
 // A row of metrics.jsonl for a scored part of `split`, "test" or "train".
 MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
                      const SplitScore& score, const ClassTable& classes) {
@@ -188,8 +182,8 @@ ScoreValues RunScores::score_test_frames(EvalJob job, double pictures_s) {
   log_test(part, found);
   if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
   const std::string split = part.whole() ? "test" : "test" + kSampleSuffix;
-  write_final_eval(folder_, final_eval(found, session().scene.info.classes, split), training_.step(),
-                   training_.train_s());
+  write_file_atomic(folder_.final_eval_path(),
+                    final_eval_json(found, session().scene.info.classes, split, training_.step(), training_.train_s()));
   return found.values();
 }
 
@@ -244,7 +238,7 @@ std::string keep_scores(const OpenedRun& run, const std::string& split, const Sp
       log.sync();
     }
     if (split != "test") return {};
-    write_final_eval(folder, final_eval(score, classes, split), run.step, run.train_s);
+    write_file_atomic(folder.final_eval_path(), final_eval_json(score, classes, split, run.step, run.train_s));
   } catch (const Error& error) {
     return error.message();
   }

@@ -324,10 +324,8 @@ class PyRun : NonCopyable {
       return semfield::evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
     });
     interrupt.raise();
-    FinalEval detail = final_eval(score, s.scene.info.classes, split);
-    detail.step = at_step;
-    detail.train_s = seconds;
-    return py::make_tuple(values_dict(score.values()), final_eval_json(detail));
+    return py::make_tuple(values_dict(score.values()),
+                          final_eval_json(score, s.scene.info.classes, split, at_step, seconds));
   }
   // As semfield.Points names them.
   py::dict query(const py::object& positions, const py::object& directions) {

@@ -352,81 +352,56 @@ SplitScore sample_score() {
   return score;
 }
 
-FinalEval sample_eval() {
-  FinalEval eval = final_eval(sample_score(), kTable, "test");
-  eval.step = 400;
-  eval.train_s = 12.5;
-  return eval;
+nlohmann::json sample_eval() {
+  return nlohmann::json::parse(final_eval_json(sample_score(), kTable, "test", 400, 12.5));
 }
 
 TEST(FinalEval, KeepsPresentClassesAndBinsByHand) {
-  const FinalEval eval = sample_eval();
-  ASSERT_EQ(eval.classes.size(), 2u) << "a class that occurs nowhere is not kept";
-  EXPECT_EQ(eval.classes[0].id, 3);
-  EXPECT_EQ(eval.classes[1].name, "chair");
-  EXPECT_EQ(eval.classes[1].color, kChair.color);
-  EXPECT_EQ(eval.confusion, (std::vector<std::int64_t>{2, 0, 1, 1}));
-  EXPECT_EQ(eval.count(1, 0), 1) << "row: truth, column: prediction";
-  EXPECT_EQ(eval.void_truth_px, 1);
+  const nlohmann::json eval = sample_eval();
+  ASSERT_EQ(eval["classes"].size(), 2u) << "a class that occurs nowhere is not kept";
+  EXPECT_EQ(eval["classes"][0]["id"], 3);
+  EXPECT_EQ(eval["classes"][1]["name"], "chair");
+  EXPECT_EQ(eval["classes"][1]["color"], kChair.color);
+  EXPECT_EQ(eval["confusion"]["pixels"], (nlohmann::json{{2, 0}, {1, 1}})) << "row: truth, column: prediction";
+  EXPECT_EQ(eval["confusion"]["void_truth_pixels"], 1);
   // 15 bins of width 1/15: 0.5 and 0.52 in (7/15, 8/15], 0.9 in (13/15, 14/15], 1 in the last.
-  ASSERT_EQ(eval.bins.size(), 15u);
-  EXPECT_EQ(eval.bins[7].pixels, 2);
-  EXPECT_NEAR(eval.bins[7].confidence, 0.51, 1e-7);
-  EXPECT_EQ(eval.bins[7].accuracy, 1);
-  EXPECT_EQ(eval.bins[13].accuracy, 0);
-  for (const std::size_t bin : {0, 13, 14}) EXPECT_EQ(eval.bins[bin].pixels, bin == 0 ? 0 : 1) << bin;
-  EXPECT_NEAR(*eval.ece(), (2 * 0.49 + 0.9 + 0) / 4, 1e-6);
-  EXPECT_NEAR(*eval.ece(), *sample_score().calibration.ece(), 1e-12) << "the bins carry the figure of metrics.jsonl";
-  ASSERT_TRUE(eval.entropy_auroc);
-  EXPECT_NEAR(eval.entropy_auroc->value, 2.0 / 3, 1e-15) << "0.65 of the wrong chair against 0.7, 0.6 and 0.01";
-}
-
-TEST(FinalEval, ComesBackAsWritten) {
-  const FinalEval eval = sample_eval();
-  const std::string json = final_eval_json(eval);
-  const FinalEval back = parse_final_eval(json, "final_eval.json");
-  EXPECT_EQ(final_eval_json(back), json);
-  EXPECT_EQ(back.step, 400);
-  EXPECT_EQ(back.confusion, eval.confusion);
-  EXPECT_EQ(back.frames[0].name, "left/1");
-  EXPECT_EQ(back.frames[0].psnr_db, std::numeric_limits<double>::infinity());
-  EXPECT_FALSE(back.frames[0].absrel.has_value());
-  EXPECT_EQ(*back.ece(), *eval.ece());
-  EXPECT_EQ(back.entropy_auroc->value, eval.entropy_auroc->value);
-  const nlohmann::json read = nlohmann::json::parse(json);
-  EXPECT_EQ(read["confusion"]["pixels"][1][0], 1);
-  EXPECT_TRUE(read["reliability"]["bins"][0]["accuracy"].is_null()) << "a bin without pixels has no accuracy";
-  EXPECT_NEAR(read["entropy"]["auroc"].get<double>(), 2.0 / 3, 1e-15);
-  EXPECT_EQ(read["entropy"]["auroc_error"], 0);
-  nlohmann::json earlier = read;
-  earlier.erase("entropy");
-  EXPECT_FALSE(parse_final_eval(earlier.dump(), "x").entropy_auroc) << "of a version that did not count it";
+  const nlohmann::json& bins = eval["reliability"]["bins"];
+  ASSERT_EQ(bins.size(), 15u);
+  EXPECT_EQ(bins[7]["pixels"], 2);
+  EXPECT_NEAR(bins[7]["confidence"].get<double>(), 0.51, 1e-7);
+  EXPECT_EQ(bins[7]["accuracy"], 1);
+  EXPECT_EQ(bins[13]["accuracy"], 0);
+  EXPECT_TRUE(bins[0]["accuracy"].is_null()) << "a bin without pixels has no accuracy";
+  for (const std::size_t bin : {0, 13, 14}) EXPECT_EQ(bins[bin]["pixels"], bin == 0 ? 0 : 1) << bin;
+  EXPECT_NEAR(eval["entropy"]["auroc"].get<double>(), 2.0 / 3, 1e-15)
+      << "0.65 of the wrong chair against 0.7, 0.6 and 0.01";
+  EXPECT_EQ(eval["entropy"]["auroc_error"], 0);
+  EXPECT_EQ(eval["per_frame"][0]["frame"], "left/1");
+  EXPECT_EQ(eval["per_frame"][0]["psnr"], "inf");
+  EXPECT_TRUE(eval["per_frame"][0]["absrel"].is_null());
 }
 
 TEST(FinalEval, WithoutLabelsThereIsNoMatrixAndNoBin) {
-  SplitScore score(0, 10);
-  const FinalEval eval = parse_final_eval(final_eval_json(final_eval(score, {}, "test")), "x");
-  EXPECT_TRUE(eval.classes.empty());
-  EXPECT_TRUE(eval.bins.empty());
-  EXPECT_FALSE(eval.ece().has_value());
-  EXPECT_FALSE(eval.entropy_auroc);
-  // A pixel without finite probabilities takes the figure away, as in metrics.jsonl.
-  FinalEval broken = sample_eval();
-  broken.nonfinite_px = 1;
-  EXPECT_FALSE(broken.ece().has_value());
+  const std::string text = final_eval_json(SplitScore(0, 10), {}, "test", 7, 0);
+  const nlohmann::json eval = nlohmann::json::parse(text);
+  EXPECT_TRUE(eval["classes"].empty() && eval["reliability"]["bins"].empty() && eval["entropy"]["auroc"].is_null());
+  EXPECT_EQ(check_final_eval(text, "x"), 7);
 }
 
 TEST(FinalEval, RefusesWhatItDidNotWrite) {
-  const nlohmann::json good = nlohmann::json::parse(final_eval_json(sample_eval()));
+  const nlohmann::json good = sample_eval();
   const auto refused = [](const nlohmann::json& json) {
-    return error_of(ErrorKind::data, [&] { (void)parse_final_eval(json.dump(), "runs/a/final_eval.json"); });
+    return error_of(ErrorKind::data, [&] { (void)check_final_eval(json.dump(), "runs/a/final_eval.json"); });
   };
   const auto changed = [&](const char* pointer, const nlohmann::json& value) {
     nlohmann::json json = good;
     json[nlohmann::json::json_pointer(pointer)] = value;
     return refused(json);
   };
-  ASSERT_EQ(refused(good), "");
+  ASSERT_EQ(check_final_eval(good.dump(), "x"), 400);
+  nlohmann::json earlier = good;
+  earlier.erase("entropy");
+  EXPECT_EQ(refused(earlier), "") << "of a version that did not count it";
   EXPECT_HAS(refused({}), "runs/a/final_eval.json");
   EXPECT_HAS(changed("/confusion/pixels", {{1}}), "1 rows for 2 classes");
   EXPECT_HAS(changed("/confusion/pixels/0", {1, 2, 3}), "3 entries for 2 classes");
@@ -437,31 +412,28 @@ TEST(FinalEval, RefusesWhatItDidNotWrite) {
   EXPECT_HAS(changed("/reliability/bins/0/accuracy", 1.5), "outside 0 to 1");
   EXPECT_HAS(changed("/entropy/auroc", -0.5), "outside 0 to 1");
   EXPECT_HAS(changed("/per_frame/0/psnr", "much"), "is not a score");
-  EXPECT_THROW((void)parse_final_eval("{", "x"), Error);
+  EXPECT_THROW((void)check_final_eval("{", "x"), Error);
 }
 
 TEST(LabelCounts, AreSummedFromTheManifestAndComeBack) {
   SceneManifest manifest{
       .classes = 3, .train_class_pixels = {100, 0, 20}, .train_pixels = 1000, .train_frames = 10, .labelled_frames = 2};
-  const LabelCounts counts =
-      label_counts(manifest, kTable, {{"pixel_noise", {{"pixels changed", "12"}, {"seed", "3"}}}});
-  EXPECT_EQ(counts.labelled_px, 120);
-  ASSERT_EQ(counts.classes.size(), 3u);
-  EXPECT_EQ(counts.classes[2].id, 9);
-  const std::string json = label_counts_json(counts);
-  const LabelCounts again = parse_label_counts(json, "labels.json");
-  EXPECT_EQ(label_counts_json(again), json);
-  EXPECT_EQ(again.labelled_frames, 2);
-  ASSERT_EQ(again.steps.size(), 1u);
-  EXPECT_EQ(again.steps[0].facts, counts.steps[0].facts);
-  EXPECT_THROW((void)parse_label_counts("{\"train_frames\": -1}", "labels.json"), Error);
-  EXPECT_THROW((void)parse_label_counts("[]", "labels.json"), Error);
-  LabelCounts with_rounds = counts;
-  with_rounds.rounds = {{30, 400, 300, 0, 0}, {45, 400, 350, 200, 150}};
-  const LabelCounts back = parse_label_counts(label_counts_json(with_rounds), "labels.json");
-  EXPECT_EQ(back.rounds, with_rounds.rounds);
-  EXPECT_FALSE(back.rounds[0].accuracy());
-  EXPECT_HAS(back.rounds[1].text(), "step 45", "350 pixels", "87.5 %", "75.0 %");
+  const std::vector<TrainingLabels::Step> steps{{"pixel_noise", {{"pixels changed", "12"}, {"seed", "3"}}}};
+  const std::vector<SelfTrainingRound> rounds{{30, 400, 300, 0, 0}, {45, 400, 350, 200, 150}};
+  const std::string json = label_counts_json(manifest, kTable, steps);
+  const nlohmann::json counts = nlohmann::json::parse(json);
+  EXPECT_EQ(counts["labelled_pixels"], 120);
+  EXPECT_EQ(counts["labelled_frames"], 2);
+  ASSERT_EQ(counts["classes"].size(), 3u);
+  EXPECT_EQ(counts["classes"][2]["id"], 9);
+  EXPECT_EQ(counts["degrade"][0]["facts"]["pixels changed"], "12");
+  EXPECT_TRUE(check_label_counts(json, "labels.json").empty());
+  EXPECT_THROW((void)check_label_counts("{\"train_frames\": -1}", "labels.json"), Error);
+  EXPECT_THROW((void)check_label_counts("[]", "labels.json"), Error);
+  const auto back = check_label_counts(label_counts_json(manifest, kTable, steps, rounds), "labels.json");
+  EXPECT_EQ(back, rounds);
+  EXPECT_FALSE(back[0].accuracy());
+  EXPECT_HAS(back[1].text(), "step 45", "350 pixels", "87.5 %", "75.0 %");
   EXPECT_LACKS(json, "self_training");
   EXPECT_THROW((void)parse_rounds("[{\"step\": -1}]", "labels.json"), Error);
 }

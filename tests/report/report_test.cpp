@@ -60,9 +60,11 @@ TEST(ReportInput, IsReadFromRunFolders) {
                     left_out_json({{"coarse network", "one pass", "1 pass", ProofClass::bitwise, "25 %"}}));
   write_file_atomic(first.worst_frames_path(), R"([{"frame": "4", "score": "mIoU 0.10"}, {"frame": "0", "score": ""},
                                                    {"frame": "gone", "score": "no pictures"}])");
-  LabelCounts counts{10, 4, 100, 40, {{4, "wall", 40}}, {{"pixel_noise", {{"pixels", "12"}}}}};
-  counts.rounds = {{45, 60, 30, 0, 0}};
-  write_file_atomic(first.labels_path(), label_counts_json(counts));
+  const SceneManifest manifest{
+      .classes = 1, .train_class_pixels = {40}, .train_pixels = 100, .train_frames = 10, .labelled_frames = 4};
+  write_file_atomic(first.labels_path(),
+                    label_counts_json(manifest, ClassTable({{4, "wall", {}, false}}),
+                                      {{"pixel_noise", {{"pixels", "12"}}}}, {{45, 60, 30, 0, 0}}));
   const std::vector<std::string> folders{root / "a/run", root / "b/run"};
   const std::string text = read_report(folders, 2);
   const Json data = Json::parse(text);

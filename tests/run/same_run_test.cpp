@@ -297,7 +297,7 @@ TEST_F(DrivenRun, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
   drive(run, kSteps);
   run.save("");
   EXPECT_EQ(checkpoint_fingerprint(dir_ / "driven", kSteps), bits);
-  EXPECT_EQ(parse_label_counts(read_text_file(dir_ / "driven/labels.json"), "labels.json").rounds.size(), 1U);
+  EXPECT_EQ(check_label_counts(read_text_file(dir_ / "driven/labels.json"), "labels.json").size(), 1U);
 }
 
 // What may happen between steps is the driver's to say: who waits for a disk writes rows and checkpoints on request.
@@ -397,7 +397,7 @@ void copy_run(const std::string& from, const std::string& to) {
 }
 
 std::vector<SelfTrainingRound> rounds_of(const std::string& run) {
-  return parse_label_counts(read_text_file(run + "/labels.json"), "labels.json").rounds;
+  return check_label_counts(read_text_file(run + "/labels.json"), "labels.json");
 }
 
 TEST(SelfTraining, RoundsComeAtSharesOfTheSteps) {

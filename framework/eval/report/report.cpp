@@ -224,12 +224,11 @@ Json run_json(const RunFolder& folder, const std::vector<MetricsRow>& rows, cons
   });
   if (run["left_out"].is_null()) run["left_out"] = Json::array();
   run["labels"] = read_if_there(folder.labels_path(), [&](const std::string& text, const std::string& path) {
-    const LabelCounts counts = parse_label_counts(text, path);
-    for (const SelfTrainingRound& round : counts.rounds) run["rounds"].push_back(round.text());
-    return Json::parse(label_counts_json(counts));
+    for (const SelfTrainingRound& round : check_label_counts(text, path)) run["rounds"].push_back(round.text());
+    return Json::parse(text);
   });
   run["eval"] = read_if_there(folder.final_eval_path(), [](const std::string& text, const std::string& path) {
-    (void)parse_final_eval(text, path);
+    (void)check_final_eval(text, path);
     return Json::parse(text);
   });
   run["clicked"] = read_if_there(folder.labelling_path(), [](const std::string& text, const std::string& path) {
