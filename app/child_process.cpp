@@ -2,7 +2,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <poll.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -123,23 +123,10 @@ ProcessEnd end_of_child(pid_t pid, const std::function<int()>& stop) {
 }
 
 ChildEnd run_child(const std::vector<std::string>& words) {
-  Pipe pipe = open_pipe(words.front());
-  const pid_t pid = start_child(words, ChildStreams{-1, pipe.write, STDERR_FILENO});
-  pipe.write = -1;
-  ChildEnd end;
-  bool told = false, open = true;
-  while (open) {
-    pollfd reader{pipe.read, POLLIN, 0};
-    const int ready = poll(&reader, 1, 100);
-    if (stop_signal() != 0 && !told) told = kill(pid, stop_signal()) == 0;
-    if (ready <= 0) continue;
-    std::array<char, 4096> part{};
-    const ssize_t got = read(pipe.read, part.data(), part.size());
-    if (got > 0) end.out.append(part.data(), static_cast<std::size_t>(got));
-    open = got > 0 || (got < 0 && errno == EINTR);
-  }
-  end.code = code_of_child(pid);
-  return end;
+  const FileDescriptor out(memfd_create("out", MFD_CLOEXEC));
+  const pid_t pid = start_child(words, ChildStreams{-1, out, STDERR_FILENO});
+  const int code = code_of(end_of_child(pid, stop_signal).status);
+  return {code, read_text_file(fmt::format("/proc/self/fd/{}", static_cast<int>(out)))};
 }
 
 int run_logged_child(const std::vector<std::string>& words, const std::string& log, const std::function<void()>& tick) {
