@@ -206,8 +206,7 @@ class CellRunner {
       : options_(options),
         ended_(ended),
         hooks_(hooks),
-        memory_gb_(options.memory_gb > 0 ? options.memory_gb
-                                         : 0.8 * available_memory_gb() / std::max(1, options.processes_of_host)) {}
+        memory_gb_(options.memory_gb > 0 ? options.memory_gb : 0.8 * available_memory_gb()) {}
 
   bool run(const std::vector<Cell>& cells) {
     for (const Cell& cell : cells) {

@@ -86,9 +86,8 @@ struct CellOptions {
   std::string program;  ///< whose verbs train and fuse: own_program()
   int threads = 1;      ///< of a cell
   int place = 0;  ///< among the processes that share `memory_gb`: one begins where there is room for those before it
-  double memory_gb = 0;       ///< 0: of what the machine has available, this process's part
-  int processes_of_host = 1;  ///< of the sweep, which share what is available
-  std::string device;         ///< by the name of runtime.device; "": as cells say
+  double memory_gb = 0;  ///< 0: most of what the machine has available
+  std::string device;    ///< by the name of runtime.device; "": as cells say
   bool keep_checkpoints = false;
   std::vector<std::string> modules;  ///< files of plugins that cells load
   TrainHere* here = nullptr;         ///< cells, which all train, do so in this process; null: each has one of its own

@@ -2,7 +2,6 @@
 #include "eval/report/sweep.h"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
@@ -32,13 +31,11 @@
 #include "config/settings/run_config.h"
 #include "core/error.h"
 #include "core/files.h"
-#include "core/process.h"
 #include "core/text.h"
 #include "core/view.h"
 #include "eval/report/report.h"
 #include "eval/report/tune.h"
 #include "execution/device_library.h"
-#include "execution/ranks/ranks.h"
 #include "train/run_folder.h"
 
 namespace semfield::app {
@@ -52,12 +49,12 @@ struct SweepOptions : Options {
   const std::string& file = operand("file", "sweep file (YAML)");
   const std::string& out =
       value("--out FOLDER", "folder of cells and tables (default: runs/<name>); an existing one is resumed");
-  const std::optional<int>& jobs = value_in<std::optional<int>>(
-      "--jobs N", {}, 1, 4096, "cells at a time of this process (default: its share of the host's cores)");
+  const std::optional<int>& jobs =
+      value_in<std::optional<int>>("--jobs N", {}, 1, 4096, "cells at a time (default: one for each core)");
   const std::optional<int>& threads =
       value_in<std::optional<int>>("--threads N", {}, 1, 4096, "threads of each cell (default: 1)");
-  const std::optional<double>& memory_gb = positive(
-      "--memory GB", "GB that the cells of this process together may use (default: its share of 80 % of what is free)");
+  const std::optional<double>& memory_gb =
+      positive("--memory GB", "GB that the cells together may use (default: 80 % of what is free)");
   const std::vector<std::string>& devices =
       list("--devices LIST", "CUDA devices that cells run on, one cell at a time on each: all, or numbers (0,1)");
   const bool& keep_checkpoints = flag("--keep-checkpoints", "keep the checkpoints of finished cells");
@@ -68,19 +65,9 @@ std::string minutes_text(double seconds) {
   return seconds < 90 ? fmt::format("{:.0f} s", seconds) : fmt::format("{:.0f} min", seconds / 60);
 }
 
-// Where this process stands among those that work on the sweep.
-struct Place {
-  std::optional<Launched> launched = semfield::launched();  // none: started by hand
-  int helper = Helpers::own_number();                       // of another process of the host; 0: of none
-  int of_host() const { return launched ? launched->local_size : 1; }
-  int of_all() const { return launched ? launched->size : 1; }
-  // Of several that were started together, one prints what is said once.
-  bool reports() const { return helper == 0 && (!launched || launched->rank == 0); }
-  std::string prefix() const { return launched ? fmt::format("rank {}: ", launched->rank) : ""; }
-};
-
-// Every device that --devices names, or that this machine has.
+// Every device that --devices names, or that this machine has; none where it is not given.
 std::vector<std::string> named_devices(const std::vector<std::string>& words) {
+  if (words.empty()) return {};
   const std::string remedy = "leave --devices out: each cell then runs on the device that its configuration says";
   std::string why_not;
   if (words == std::vector<std::string>{"all"}) {
@@ -99,50 +86,27 @@ std::vector<std::string> named_devices(const std::vector<std::string>& words) {
   return devices;
 }
 
-// Those of this process; none where --devices is not given.
-std::vector<std::string> own_devices(const std::vector<std::string>& words, const Place& place) {
-  if (words.empty()) return {};
-  const std::vector<std::string> devices = named_devices(words);
-  if (!place.launched) return devices;
-  const Launched& by = *place.launched;
-  if (std::ssize(devices) < by.local_size)
-    throw Error(ErrorKind::usage, "ranks.devices.too_few",
-                fmt::format("{} started {} processes on this host, and --devices gives them {}: {}", by.by,
-                            by.local_size, devices.size(), join(devices)),
-                "start no more processes on a host than it has devices, each of which sees all of them (srun "
-                "--gpu-bind=none)");
-  return devices_of_process(devices, by.local_rank, by.local_size);
-}
-
-// As far as control groups grant them, wherever a launcher bound this process.
-int cores_of_host() {
-  const auto all = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
-  const int quota = cpu_quota();
-  return quota > 0 ? std::min(quota, all) : all;
-}
-
 // Cells at a time of this process and its helpers, and what each of them has.
 struct Share {
   std::vector<std::string> devices;
   int jobs = 1, threads = 1;
 };
 
-CellOptions cell_options(const Share& share, const std::string& folder, const Place& place, const Registry& registry) {
+CellOptions cell_options(const Share& share, const std::string& folder, const Registry& registry) {
   CellOptions own;
   own.folder = folder;
   own.program = own_program();
   own.threads = share.threads;
-  own.place = place.helper;
-  own.processes_of_host = place.of_host();
+  own.place = Helpers::own_number();
   own.modules = registry.module_files();
-  if (!share.devices.empty()) own.device = share.devices.at(static_cast<std::size_t>(place.helper));
+  if (!share.devices.empty()) own.device = share.devices.at(static_cast<std::size_t>(own.place));
   return own;
 }
 
-CellHooks hooks_of(Helpers& helpers, const Place& place, const SweepNote& note) {
+CellHooks hooks_of(Helpers& helpers, const AppContext& context) {
   CellHooks hooks;
-  hooks.waits_for = [&helpers, place, note](const std::string& text) {
-    if (place.reports() && !helpers.is_about_one(text)) note(text);
+  hooks.waits_for = [&](const std::string& text) {
+    if (Helpers::own_number() == 0 && !helpers.is_about_one(text)) print_note(context, text);
   };
   hooks.stop = [&helpers] {
     if (stop_signal() != 0) helpers.stop();
@@ -171,125 +135,63 @@ int list_cells(const std::vector<Cell>& cells, const std::string& folder, const 
   return 0;
 }
 
-// What the user sees while cells run, and in the end.
-class SweepProgress {
- public:
-  SweepProgress(const Sweep& sweep, const std::vector<Cell>& cells, const Place& place, AppContext& context)
-      : sweep_(sweep), cells_(cells), place_(place), context_(context) {}
-
-  void begin(const Share& share, const SweepFolder& folder, const EndedCells& ended) {
-    at_a_time_ = share.jobs * place_.of_all();
-    if (!place_.reports()) return;
-    const std::string processes = place_.launched ? fmt::format(" in each of {} processes", place_.of_all()) : "";
-    const std::string devices = share.devices.empty() ? "" : " on " + join(share.devices);
-    print_note(
-        context_,
-        fmt::format("{}: {} experiments, {} cells, {} of them done; {} at a time{} with {} threads each{}, in {}",
-                    sweep_.name, sweep_.experiments.size(), cells_.size(), ended.results.size(), share.jobs, processes,
-                    share.threads, devices, folder.path()));
-    if (!folder.beside().empty() && !place_.launched)
-      print_note(context_, folder.beside() + " works on this sweep too; they share the cells");
-    const int own = hardware_threads(), cores = cores_of_host();
-    if (place_.launched && share.devices.empty() && own < cores / place_.of_host())
-      print_note(context_, fmt::format("{} lets this process use {} of {} cores (mpirun --bind-to none: all)",
-                                       place_.launched->by, own, cores));
+// "[3/12] experiment / variant, scene, seed 1: psnr 30.125".
+std::string ended_text(const CellOutcome& outcome, const Sweep& sweep, std::size_t cells, const EndedCells& ended) {
+  const Cell& cell = *outcome.cell;
+  std::string what = outcome.failure;
+  if (what.empty()) {
+    const std::string& metric = sweep.experiments[cell.uses.front().experiment].metrics.front();
+    for (const auto& [name, value] : ended.results.at(cell.id))
+      if (name == metric) what = fmt::format("{} {:.3f}", metric, value);
   }
-
-  void note(const std::string& text) const { print_note(context_, place_.prefix() + text); }
-
-  void finished(const CellOutcome& outcome, const EndedCells& ended) {
-    ++ran_;
-    seconds_ += outcome.seconds;
-    const Cell& cell = *outcome.cell;
-    const std::size_t left = cells_.size() - ended.results.size() - ended.failures.size();
-    const double left_s = seconds_ / static_cast<double>(ran_) * static_cast<double>(left) / at_a_time_;
-    std::string what = outcome.failure;
-    if (what.empty()) {
-      const std::string& metric = sweep_.experiments[cell.uses.front().experiment].metrics.front();
-      for (const auto& [name, value] : ended.results.at(cell.id)) {
-        if (name == metric) what = fmt::format("{} {:.3f}", metric, value);
-      }
-    }
-    note(fmt::format("[{}/{}] {}, {}, seed {}: {} ({:.0f} s, {} left)", ended.results.size(), cells_.size(), cell.label,
-                     cell.scene, cell.seed, what, outcome.seconds, minutes_text(left_s)));
-  }
-
-  // The exit code. A rank that does not report ends with 0 although cells failed: a launcher takes another code for a
-  // broken process, and ends the others.
-  int end(bool whole, const std::string& folder, const EndedCells& ended) const {
-    const std::size_t done = ended.results.size(), failed = ended.failures.size();
-    if (place_.reports())
-      print_results(context_, {{"folder", folder}, {"cells", cells_.size()}, {"done", done}, {"failed", failed}},
-                    fmt::format("sweep: cells={} done={} failed={} folder={}", cells_.size(), done, failed, folder));
-    if (!whole) {
-      if (place_.reports()) print_note(context_, "stopped; the same command resumes the sweep");
-      return 128 + stop_signal();
-    }
-    return failed > 0 && place_.reports() ? static_cast<int>(ErrorKind::failure) : 0;
-  }
-
- private:
-  const Sweep& sweep_;
-  const std::vector<Cell>& cells_;
-  const Place& place_;
-  AppContext& context_;
-  int at_a_time_ = 1;
-  std::size_t ran_ = 0;
-  double seconds_ = 0;
-};
-
-// This process's part of the work. Throws what went wrong here, which need not go wrong in the other processes.
-int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell>& cells, const Place& place,
-         AppContext& context) {
-  const std::string path = options.out.empty() ? "runs/" + sweep.name : options.out;
-  if (options.dry_run) return place.reports() ? list_cells(cells, path, sweep, context) : 0;
-  Share share{own_devices(options.devices, place)};
-  share.threads = std::max(1, options.threads.value_or(1));
-  share.jobs =
-      !share.devices.empty()
-          ? static_cast<int>(share.devices.size())
-          : options.jobs.value_or(cells_at_a_time(thread_count(), cores_of_host(), place.of_host(), share.threads));
-  CellOptions own = cell_options(share, path, place, context.registry);
-  own.memory_gb = options.memory_gb.value_or(0);
-  own.keep_checkpoints = options.keep_checkpoints;
-
-  install_stop_signals();
-  SweepProgress progress(sweep, cells, place, context);
-  const SweepNote note = [&](const std::string& text) { progress.note(text); };
-  const SweepFolder folder(path, sweep, cells, note, place.helper > 0);
-  EndedCells ended;
-  for (const Cell& cell : cells) notice_cell(ended, path, cell.id);
-  progress.begin(share, folder, ended);
-  const int left = static_cast<int>(cells.size() - ended.results.size() - ended.failures.size());
-  Helpers helpers(place.helper > 0 ? 0 : std::min(share.jobs, left) - 1);
-  CellHooks hooks = hooks_of(helpers, place, note);
-  hooks.finished = [&](const CellOutcome& outcome) {
-    folder.write_tables(ended);
-    progress.finished(outcome, ended);
-  };
-  const bool whole = run_cells(cells, own, ended, hooks);
-  folder.write_tables(ended);
-  return progress.end(whole, path, ended);
+  return fmt::format("[{}/{}] {}, {}, seed {}: {}", ended.results.size(), cells, cell.label, cell.scene, cell.seed,
+                     what);
 }
 
 int run(const SweepOptions& options, AppContext& context) {
-  const Place place;
-  bool planned = false;
-  try {
-    const Sweep sweep = read_sweep(options.file);
-    const std::vector<Cell> cells = plan_cells(sweep, context.registry);
-    planned = true;
-    return work(options, sweep, cells, place, context);
-  } catch (const Error& error) {
-    if (place.reports() || !place.launched) throw;
-    // What is wrong with the file rank 0 reports for all; it gets the time, because launchers end all when one fails.
-    if (planned) {
-      say("semfield: " + place.prefix() + shown(error), context.terminal);
-    } else {
-      sleep(1);
-    }
-    throw;
-  }
+  const Sweep sweep = read_sweep(options.file);
+  const std::vector<Cell> cells = plan_cells(sweep, context.registry);
+  const std::string path = options.out.empty() ? "runs/" + sweep.name : options.out;
+  if (options.dry_run) return list_cells(cells, path, sweep, context);
+  Share share{named_devices(options.devices)};
+  share.threads = std::max(1, options.threads.value_or(1));
+  share.jobs = !share.devices.empty() ? static_cast<int>(share.devices.size())
+                                      : options.jobs.value_or(std::max(1, thread_count() / share.threads));
+  CellOptions own = cell_options(share, path, context.registry);
+  own.memory_gb = options.memory_gb.value_or(0);
+  own.keep_checkpoints = options.keep_checkpoints;
+  const bool helps = own.place > 0;
+
+  install_stop_signals();
+  const SweepNote note = [&](const std::string& text) { print_note(context, text); };
+  const SweepFolder folder(path, sweep, cells, note, helps);
+  EndedCells ended;
+  for (const Cell& cell : cells) notice_cell(ended, path, cell.id);
+  const auto left = [&] { return static_cast<int>(cells.size() - ended.results.size() - ended.failures.size()); };
+  if (!helps)
+    note(fmt::format("{}: {} experiments, {} cells, {} of them done; {} at a time with {} threads each{}, in {}",
+                     sweep.name, sweep.experiments.size(), cells.size(), ended.results.size(), share.jobs,
+                     share.threads, share.devices.empty() ? "" : " on " + join(share.devices), path));
+  if (!folder.beside().empty()) note(folder.beside() + " works on this sweep too; they share the cells");
+  Helpers helpers(helps ? 0 : std::min(share.jobs, left()) - 1);
+  CellHooks hooks = hooks_of(helpers, context);
+  int ran = 0;
+  double seconds = 0;
+  hooks.finished = [&](const CellOutcome& outcome) {
+    folder.write_tables(ended);
+    seconds += outcome.seconds;
+    note(fmt::format("{} ({:.0f} s, {} left)", ended_text(outcome, sweep, cells.size(), ended), outcome.seconds,
+                     minutes_text(seconds / ++ran * left() / share.jobs)));
+  };
+  const bool whole = run_cells(cells, own, ended, hooks);
+  folder.write_tables(ended);
+  const std::size_t done = ended.results.size(), failed = ended.failures.size();
+  const int code = !whole ? 128 + stop_signal() : failed > 0 ? static_cast<int>(ErrorKind::failure) : 0;
+  if (helps) return code;
+  print_results(context, {{"folder", path}, {"cells", cells.size()}, {"done", done}, {"failed", failed}},
+                fmt::format("sweep: cells={} done={} failed={} folder={}", cells.size(), done, failed, path));
+  if (!whole) note("stopped; the same command resumes the sweep");
+  return code;
 }
 
 }  // namespace
@@ -492,22 +394,22 @@ TunePlan tune_plan(const TuneOptions& options, const RunConfig& config) {
 }
 
 int run(const TuneOptions& options, AppContext& context) {
-  const Place place;
-  if (!place.reports()) context.quiet = true;
+  const bool helps = Helpers::own_number() > 0;
+  context.quiet = context.quiet || helps;
   const std::string path = find_config(options.config);
   const ConfigNode config = compose_config(path);
   const RunConfig read = run_config_of(config, context.registry);
   TunePlan plan = tune_plan(options, read);
   plan.config = config;
   plan.path = path;
-  Share share{own_devices(options.devices, place)};
+  Share share{named_devices(options.devices)};
   share.jobs = share.devices.empty() ? options.jobs.value_or(1) : static_cast<int>(share.devices.size());
   share.threads = std::max(1, thread_count() / share.jobs);
   const std::string folder = options.out.empty() ? "runs/tune_" + fs::path(path).stem().string() : options.out;
   TrainHere here{context.registry};
-  CellOptions own = cell_options(share, folder, place, context.registry);
+  CellOptions own = cell_options(share, folder, context.registry);
   own.here = &here;
-  plan.at_a_time = share.jobs * place.of_all();
+  plan.at_a_time = share.jobs;
 
   const fs::path beside = fs::path(options.config).parent_path() / fs::path(path).stem();
   const std::string file = options.file.empty() ? beside.string() + ".tuned.yaml" : options.file;
@@ -521,21 +423,19 @@ int run(const TuneOptions& options, AppContext& context) {
   drop_values(plan, shipped, context.registry);
 
   install_stop_signals(!context.quiet);
-  Helpers helpers(place.helper > 0 || options.dry_run ? 0 : share.jobs - 1);
-  const auto note = [&](const std::string& text) { print_note(context, text); };
-  TuneCells cells(plan, own, hooks_of(helpers, place, note), context, options.dry_run);
+  Helpers helpers(helps || options.dry_run ? 0 : share.jobs - 1);
+  TuneCells cells(plan, own, hooks_of(helpers, context), context, options.dry_run);
   const TuneOutcome outcome = race(plan, cells);
   if (options.dry_run) {
-    if (place.reports())
-      print_results(context, {{"folder", folder}, {"cells", cells.cells()}, {"time_s", cells.spent_s()}},
-                    fmt::format("tune: cells={} time_s={:.0f} folder={}", cells.cells(), cells.spent_s(), folder));
+    print_results(context, {{"folder", folder}, {"cells", cells.cells()}, {"time_s", cells.spent_s()}},
+                  fmt::format("tune: cells={} time_s={:.0f} folder={}", cells.cells(), cells.spent_s(), folder));
     return 0;
   }
   if (!outcome.whole) {
     print_note(context, "stopped; the same command continues the race");
     return 128 + stop_signal();
   }
-  if (!place.reports()) return 0;
+  if (helps) return 0;
   const std::string best = choice_name(plan.axes, outcome.best);
   const std::string page = (fs::path(folder) / "tune.html").string(), unit = tune_aim(plan.aim).unit;
   const auto [markdown, json] = tune_tables(plan, outcome);

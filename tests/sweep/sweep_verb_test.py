@@ -1,6 +1,5 @@
 #!/usr/bin/env python3
-"""`semfield sweep` as a program: cells in parallel, tables, going on after a kill, processes that share a folder by
-hand or under mpirun. SEMFIELD_MPIRUN and SEMFIELD_MPIRUN_RECOVERY name Open MPI's program and its flag of recovery."""
+"""`semfield sweep` as a program: cells in parallel, tables, going on after a kill, processes that share a folder."""
 
 import fcntl
 import json
@@ -11,12 +10,10 @@ import signal
 import socket
 import sys
 import time
-import unittest
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
-MPIRUN = os.environ.get("SEMFIELD_MPIRUN")
 TIMES = ("train_s", "processor_s", "peak_mb")  # what is measured of a process differs from run to run
 SWEEP = """base: base.yaml
 split: train
@@ -212,6 +209,19 @@ class SharedSweep(SweepCase):
         again = self.ended(self.words(), 1, "no training pixel carries a label")
         self.assertEqual((again.err.count(broken), again.out), (1, a.out))
 
+    def test_the_cell_of_a_killed_process_is_taken_up(self):
+        """The cell is held in the middle of its work while its sweep dies, so that the other finds it unfinished."""
+        self.sweep(200)
+        first = self.start(*self.words("--jobs", 1))
+        cell, process = self.held(first)
+        second = self.start(*self.words("--jobs", 1))
+        self.assertTrue(until(lambda: f"process {first.pid} on " in second.err()), second.err())
+        first.kill()
+        os.kill(process, signal.SIGCONT)
+        self.assertEqual(self.ok(second.wait()).out, self.done(3))
+        self.lacks(self.cells("result.json")[cell], "processor_s")  # gone on with, so nobody knows what it took in all
+        self.assertEqual(self.results(), self.results_of_one())
+
     def test_another_sweep_on_the_folder_is_refused_by_name(self):
         out = self.sweep(100_000)
         first = self.start(*self.words("--jobs", 2))
@@ -236,63 +246,6 @@ class SharedSweep(SweepCase):
                                   (("--devices", "0", "--jobs", "2"), 2, "--jobs")):
             self.ended(self.words(*words), code, said)
         self.assertFalse(out.exists())
-
-
-@unittest.skipIf(not MPIRUN, "no mpirun of Open MPI here")
-class SweepRanks(SweepCase):
-    """A sweep started by mpirun: what its processes leave, whoever of them is killed."""
-
-    def mpirun(self, ranks, recovery=False):
-        flag = [os.environ["SEMFIELD_MPIRUN_RECOVERY"]] if recovery else []
-        root = {name: "1" for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")}
-        return self.start(*flag, "-n", ranks, "--oversubscribe", PROGRAM, *self.words("--jobs", 1), program=MPIRUN,
-                          env={**root, "TMPDIR": str(self.dir)})  # as in tests/ranks/mpi_test.py
-
-    def kill_the_rank_of_a_cell(self, mpirun):
-        """A cell in the middle of its work, of a rank other than 0, which is killed."""
-        def held():
-            for cell in self.begun():
-                process = self.process_of(cell)
-                try:
-                    os.kill(process, signal.SIGSTOP)
-                    status = pathlib.Path(f"/proc/{process}/status").read_text()
-                    parent = int(status.split("PPid:")[1].split()[0])
-                    rank = [word for word in pathlib.Path(f"/proc/{parent}/environ").read_bytes().split(b"\0")
-                            if word.startswith(b"OMPI_COMM_WORLD_RANK=")]
-                    if rank and rank[0] != b"OMPI_COMM_WORLD_RANK=0" and cell not in self.cells("result.json"):
-                        return cell, process, parent
-                    os.kill(process, signal.SIGCONT)
-                except OSError:  # it has ended
-                    continue
-            return None
-        found = until(held)
-        self.assertTrue(found, mpirun.err())
-        cell, process, rank = found
-        os.kill(rank, signal.SIGKILL)
-        os.kill(process, signal.SIGCONT)
-        return cell
-
-    def test_the_results_are_those_of_one_process_and_one_of_them_tells_the_end(self):
-        self.sweep(120, "seeds: [1, 2]\n")
-        r = self.ok(self.mpirun(3).wait())
-        self.assertEqual(r.out, self.done(6))
-        self.has(r.err, "1 at a time in each of 3 processes", "rank 0: [", "rank 1: [", "rank 2: [")
-        self.assertEqual(self.results(), self.results_of_one())
-
-    def test_a_killed_ranks_cell_is_finished_by_the_others(self):
-        self.sweep(120, "seeds: [1, 2]\n")
-        mpirun = self.mpirun(3, recovery=True)
-        cell = self.kill_the_rank_of_a_cell(mpirun)
-        r = mpirun.wait()
-        self.assertEqual(r.out, self.done(6), r.err)
-        self.lacks(self.cells("result.json")[cell], "processor_s")  # another rank went on from its checkpoint
-        self.assertEqual(self.results(), self.results_of_one())
-
-    def test_a_failed_cell_is_told_by_the_exit_code(self):
-        self.sweep(3, BROKEN)
-        r = self.mpirun(2).wait()
-        self.assertEqual(r.code, 1, r.err)
-        self.has(r.out, "sweep: cells=4 done=3 failed=1 folder=")
 
 
 if __name__ == "__main__":

@@ -733,18 +733,6 @@ std::string ExperimentTable::json() const {
       .dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-int cells_at_a_time(int own, int cores, int processes, int threads) {
-  const int share = std::max(1, std::min(own, cores / std::max(1, processes)));
-  return std::max(1, share / std::max(1, threads));
-}
-
-std::vector<std::string> devices_of_process(const std::vector<std::string>& devices, int rank, int size) {
-  std::vector<std::string> own;
-  for (std::size_t i = static_cast<std::size_t>(rank); i < devices.size(); i += static_cast<std::size_t>(size))
-    own.push_back(devices[i]);
-  return own;
-}
-
 std::vector<std::string> device_names(const std::vector<std::string>& words) {
   std::vector<std::string> names;
   for (const std::string& word : words) {

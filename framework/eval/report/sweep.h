@@ -183,16 +183,6 @@ class ExperimentTable {
   std::vector<std::vector<std::vector<const CellValues*>>> values_;  // [scene][variant][seeds done]
 };
 
-// What one of several processes of a sweep takes of its host: cores and devices.
-
-/// Cells at a time of a process that may run on `own` of its host's `cores`, which `processes` of the sweep share, with
-/// `threads` for each cell; at least 1.
-int cells_at_a_time(int own, int cores, int processes, int threads);
-
-/// Devices of the `rank`-th of `size` processes on one host: every size-th, from the rank-th on. So each belongs to one
-/// process, and none is left over.
-std::vector<std::string> devices_of_process(const std::vector<std::string>& devices, int rank, int size);
-
 /// Names of devices as `runtime.device` takes them, from "0" or "cuda:0". Throws Error(usage) for anything else and for
 /// one named twice.
 std::vector<std::string> device_names(const std::vector<std::string>& words);
