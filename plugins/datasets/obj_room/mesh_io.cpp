@@ -165,6 +165,7 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
     return;
   }
   const std::string text = read_text_file(file.string());
+  mesh.files.push_back(file.string());
   const std::vector<std::string> names = names_of_materials(text);
   std::istringstream stream(text);
   std::map<std::string, int> local;
@@ -175,7 +176,9 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
   for (const tinyobj::material_t& m : found) {
     if (m.name.empty() || index.count(m.name) != 0) continue;
     const auto map_of = [&](const std::string& texture) {
-      return resolved_map(file.parent_path(), texture, file.string() + ": " + m.name, diagnostics);
+      std::string map = resolved_map(file.parent_path(), texture, file.string() + ": " + m.name, diagnostics);
+      if (!map.empty()) mesh.files.push_back(map);
+      return map;
     };
     const auto color_of = [](const tinyobj::real_t* rgb) {
       return std::array{static_cast<float>(rgb[0]), static_cast<float>(rgb[1]), static_cast<float>(rgb[2])};
@@ -314,6 +317,7 @@ TriangleMesh load_obj(const std::string& path, Diagnostics& diagnostics) {
   const Outline outline = outline_of(text, path);
   const fs::path folder = fs::path(path).parent_path();
   TriangleMesh mesh;
+  mesh.files.push_back(path);
   std::map<std::string, int> material_index;
   for (const std::string& line : outline.material_files)
     for (const std::string& name : material_names(folder, line))

@@ -1,13 +1,11 @@
 // Rays by Embree, and pictures.
 #include <dlfcn.h>
+#include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
-#include <limits>
 #include <map>
-#include <span>
 #include <type_traits>
 
 #include "compute/parallel.h"
@@ -626,67 +624,27 @@ namespace {
 
 namespace fs = std::filesystem;
 
-class Sum {
- public:
-  /// Of numbers, or of Vec3d and arrays, which have no gaps between theirs.
-  template <class T>
-  void add(const T& value) {
-    static_assert(std::is_trivially_copyable_v<T>);
-    sha_.add(std::as_bytes(std::span<const T>(&value, 1)));
-  }
-  void add(const std::string& text) { add_all(text); }
-  /// Elements without gaps between or in them.
-  template <class Values>
-  void add_all(const Values& values) {
-    add(static_cast<std::uint64_t>(values.size()));
-    sha_.add(std::as_bytes(std::span(values)));
-  }
-  std::string hex() { return sha_.hex(); }
-
- private:
-  Sha256 sha_;
-};
-
-/// Size and time of the file that holds this code: another build may cast other pictures.
-void add_program(Sum& sum) {
+// Size and time of the file that holds this code: another build may cast other pictures.
+std::string program_stamp() {
   Dl_info info{};
-  if (dladdr(reinterpret_cast<const void*>(&add_program), &info) == 0 || info.dli_fname == nullptr) return;
+  if (dladdr(reinterpret_cast<const void*>(&program_stamp), &info) == 0 || info.dli_fname == nullptr) return {};
   std::error_code failed;
-  sum.add(static_cast<std::uint64_t>(fs::file_size(info.dli_fname, failed)));
-  sum.add(static_cast<std::int64_t>(fs::last_write_time(info.dli_fname, failed).time_since_epoch().count()));
-}
-
-/// A texture's bytes; one that cannot be read is a warning of the renderer and paints nothing.
-void add_file(Sum& sum, const std::string& path) {
-  sum.add(path);
-  if (path.empty()) return;
-  try {
-    sum.add(read_text_file(path));
-  } catch (const Error&) {
-    sum.add(std::string("unreadable"));
-  }
+  const auto time = fs::last_write_time(info.dli_fname, failed).time_since_epoch().count();
+  return fmt::format("{} {}\n", fs::file_size(info.dli_fname, failed), time);
 }
 
 }  // namespace
 
-std::string cast_key(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of,
-                     const RenderSettings& settings) {
-  Sum sum;
-  add_program(sum);
-  const auto add_all = [&](const auto&... values) { (sum.add_all(values), ...); };
-  add_all(mesh.positions, mesh.triangles, mesh.uv, mesh.normals, mesh.material_of, mesh.object_of);
-  if (!mesh.piece_of.empty()) sum.add_all(mesh.piece_of);
-  sum.add_all(class_of);
-  const auto add = [&](const auto&... values) { (sum.add(values), ...); };
-  for (const Material& m : mesh.materials) {
-    add(m.diffuse, m.emission, m.opacity);
-    add_file(sum, m.diffuse_map);
-    add_file(sum, m.opacity_map);
+std::string cast_key(const std::string& settings, const std::vector<std::string>& files) {
+  std::string text = program_stamp() + settings;
+  for (const std::string& file : files) {
+    try {
+      text += sha256_of(read_text_file(file, std::size_t{1} << 30)) + "\n";
+    } catch (const Error&) {
+      text += "unreadable\n";  // a texture, which is a warning of the renderer and paints nothing
+    }
   }
-  for (const Light& light : settings.lights) add(light.position, light.radius_m, light.intensity);
-  add(settings.ambient_above, settings.ambient_below, settings.up, settings.occlusion_m, settings.occlusion_rays,
-      settings.shadow_rays, settings.supersample, settings.exposure, settings.background, settings.seed);
-  return sum.hex();
+  return sha256_of(text);
 }
 
 CastCache::CastCache(const std::string& key) {
@@ -701,22 +659,11 @@ CastCache::CastCache(const std::string& key) {
   folder_ = folder;
 }
 
-std::string CastCache::file_of(std::uint64_t number, const FrameInfo& frame) const {
-  Sum sum;
-  const Camera& c = frame.camera;
-  sum.add(std::array{c.fx, c.fy, c.cx, c.cy});
-  sum.add(std::array{c.width_px, c.height_px});
-  for (int axis = 0; axis < 3; ++axis) sum.add(frame.world_from_camera.axis(axis));
-  sum.add(frame.world_from_camera.t);
-  return folder_ + "/" + std::to_string(number) + "_" + sum.hex().substr(0, 16) + ".sfpack";
-}
-
 bool CastCache::read(std::uint64_t number, const FrameInfo& frame, FrameBuffer& out) const {
   if (folder_.empty()) return false;
   try {
-    const std::string file = file_of(number, frame);
-    if (!fs::exists(file)) return false;
-    PackedScene(file).read(0, out);
+    if (!fs::exists(file_of(number))) return false;
+    PackedScene(file_of(number)).read(0, out);
     return out.width_px == frame.camera.width_px && out.height_px == frame.camera.height_px && !out.rgb.empty();
   } catch (const Error&) {
     return false;
@@ -727,7 +674,7 @@ void CastCache::write(std::uint64_t number, const FrameInfo& frame, const ClassT
                       const FrameBuffer& cast) const {
   if (folder_.empty()) return;
   try {
-    write_packed_scene(file_of(number, frame), {.name = "cast", .frames = {frame}, .classes = classes, .bounds = {}},
+    write_packed_scene(file_of(number), {.name = "cast", .frames = {frame}, .classes = classes, .bounds = {}},
                        [&cast](int, FrameBuffer& out) { out = cast; }, {.depth_as_mm = false});
   } catch (const Error&) {  // a full disk, or the folder was removed meanwhile
   }

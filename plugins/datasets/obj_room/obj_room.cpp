@@ -147,9 +147,8 @@ class ObjRoom final : public Dataset {
                             .seed = static_cast<std::uint64_t>(params_.seed)};
     renderer_ = std::make_unique<MeshRenderer>(std::move(mesh), class_of, settings, diagnostics);
     const Box room = room_box(rules.table, class_of);
-    settings.lights = lights(room, rules.table, class_of);
-    renderer_->set_lights(settings.lights);
-    cast_ = CastCache(cast_key(renderer_->mesh(), class_of, settings));
+    renderer_->set_lights(lights(room, rules.table, class_of));
+    cast_ = CastCache(room_key());
 
     const int total = params_.frames + params_.test_frames;
     std::vector<Pose> poses;
@@ -217,6 +216,16 @@ class ObjRoom final : public Dataset {
       throw Error(ErrorKind::no_input, "scene.obj.several", "several OBJ files in '" + root_ + "': " + join(found),
                   "set scene.obj to one of them");
     return resolved(root_, found[0]);
+  }
+
+  // The same room under any path has the same pictures.
+  std::string room_key() const {
+    std::vector<std::string> files = renderer_->mesh().files;
+    files.push_back(class_path());
+    if (!params_.cameras.empty()) files.push_back(resolved(root_, params_.cameras));
+    ObjRoomParams same = params_;
+    same.root = same.obj = same.classes = same.cameras = "";
+    return cast_key(write_config(params_to_config([&](ParamVisitor& visit) { describe(visit, same); })), files);
   }
 
   std::string class_path() const {

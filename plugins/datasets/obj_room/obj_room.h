@@ -44,6 +44,7 @@ struct TriangleMesh {
   std::vector<Material> materials;
   std::vector<std::string> objects;  ///< `o` names (the `g` names of a file without `o`), file order
   std::vector<std::string> groups;   ///< `g` names, "" = none
+  std::vector<std::string> files;    ///< that it was read from, and those of its textures
   Box bounds;
   std::int64_t zero_area_skipped = 0;
 
@@ -235,10 +236,9 @@ class MeshRenderer : NonCopyable {  // the ray-casting scene points into this ob
 // Frames that were cast before: casting is the slowest part of opening a room, and every program that reads it would do
 // it again.
 
-/// SHA-256 over all that pictures of a mesh depend on beside the camera: the mesh, its classes, materials with the
-/// bytes of their textures, lights, settings, and the library that casts.
-std::string cast_key(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of,
-                     const RenderSettings& settings);
+/// SHA-256 over all that the pictures of a room depend on: the library that casts, its parameters as text, and the
+/// bytes of the files that it is read from.
+std::string cast_key(const std::string& settings, const std::vector<std::string>& files);
 
 /// A folder of the user's cache, one file a frame. Every read is checked by the file's checksums, and what is missing
 /// or damaged counts as not there. Thread-safe.
@@ -254,7 +254,7 @@ class CastCache {
   void write(std::uint64_t number, const FrameInfo& frame, const ClassTable& classes, const FrameBuffer& cast) const;
 
  private:
-  std::string file_of(std::uint64_t number, const FrameInfo& frame) const;
+  std::string file_of(std::uint64_t number) const { return folder_ + "/" + std::to_string(number) + ".sfpack"; }
   std::string folder_;
 };
 
