@@ -387,7 +387,7 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
 }
 
 PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoadOptions& size,
-                       const PackOptions& options, Diagnostics& diagnostics) {
+                       Diagnostics& diagnostics) {
   validate(size, diagnostics);
   SceneInfo info = dataset.open(diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene cannot be packed:");
@@ -400,35 +400,22 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
   }
   if (size.near_m > 0) info.near_hint_m = size.near_m;
   if (size.far_m > 0) info.far_hint_m = size.far_m;
-  if (size.bounds.size() == 6) {
-    info.bounds.lo = {size.bounds[0], size.bounds[1], size.bounds[2]};
-    info.bounds.hi = {size.bounds[3], size.bounds[4], size.bounds[5]};
-  }
-  write_packed_scene(
-      path, info,
-      [&](int frame, FrameBuffer& out) {
-        FrameBuffer whole;
-        for (const FrameChannelInfo& one : info.frames[static_cast<std::size_t>(frame)].channels)
-          if (one.name == kAlphaChannel) whole.wanted.emplace_back(one.name);
-        dataset.read(frame, whole);
-        convert_depth(whole, size.convention);
-        const Camera& camera = info.frames[static_cast<std::size_t>(frame)].camera;
-        hide_masked(whole);  // before it is mixed into other pixels
-        out = resize_frame(whole, camera.width_px, camera.height_px);
-        hide_masked(out);
-      },
-      options);
+  if (size.bounds.size() == 6) info.bounds = box_of(size.bounds);
+  write_packed_scene(path, info, [&](int frame, FrameBuffer& out) {
+    FrameBuffer whole;
+    for (const FrameChannelInfo& one : info.frames[static_cast<std::size_t>(frame)].channels)
+      if (one.name == kAlphaChannel) whole.wanted.emplace_back(one.name);
+    dataset.read(frame, whole);
+    convert_depth(whole, size.convention);
+    const Camera& camera = info.frames[static_cast<std::size_t>(frame)].camera;
+    hide_masked(whole);  // before it is mixed into other pixels
+    out = resize_frame(whole, camera.width_px, camera.height_px);
+    hide_masked(out);
+  });
   return {static_cast<int>(info.frames.size()), static_cast<std::uint64_t>(std::filesystem::file_size(path))};
 }
 
 namespace {
-
-constexpr double kPi = 3.141592653589793;
-
-bool same_camera(const Camera& a, const Camera& b) {
-  return a.width_px == b.width_px && a.height_px == b.height_px && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx &&
-         a.cy == b.cy;
-}
 
 void check_cameras(const SceneInfo& info) {
   Diagnostics diagnostics;
@@ -436,7 +423,7 @@ void check_cameras(const SceneInfo& info) {
     const std::string where = "frame " + frame.name;
     if (frame.camera.has_distortion())
       diagnostics.error("capture.camera.distortion", where, "has lens distortion", "undistort the images first");
-    if (!same_camera(frame.camera, info.frames.front().camera)) {
+    if (!(frame.camera == info.frames.front().camera)) {
       diagnostics.error("capture.camera.differs", where, "has another camera than frame " + info.frames.front().name,
                         "the layout has one camera for all");
     }
@@ -518,7 +505,7 @@ PackSummary capture_replica(const Dataset& dataset, const SceneInfo& info, const
     if (progress) progress(report.frames, static_cast<int>(info.frames.size()));
   }
   const Camera& c = first.camera;
-  const double hfov_deg = 2 * std::atan(0.5 * c.width_px / c.fx) * 180 / kPi;
+  const double hfov_deg = 2 * std::atan(0.5 * c.width_px / c.fx) * 180 / M_PI;
   write_file_atomic((folder / "intrinsics.txt").string(),
                     fmt::format("{} {} {:.17g} {:.17g} {:.17g} {:.17g} {:.10g}\n", c.width_px, c.height_px, c.fx, c.fy,
                                 c.cx, c.cy, hfov_deg));

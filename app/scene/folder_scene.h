@@ -92,7 +92,7 @@ struct PackSummary {
 /// states for, one at a time. Bounds, near and far of `size` and of the dataset go into the manifest as they are;
 /// nothing is derived.
 PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoadOptions& size,
-                       const PackOptions& options, Diagnostics& diagnostics);
+                       Diagnostics& diagnostics);
 
 // The frames of a dataset in Replica layout.
 

@@ -509,7 +509,7 @@ PackSummary write_replica(const PackVerbOptions& options, OpenedDataset& opened,
 
 PackSummary write_packed(const PackVerbOptions& options, OpenedDataset& opened, AppContext& context) {
   Diagnostics diagnostics;
-  const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
+  const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, diagnostics);
   print_findings(context, diagnostics);
   return summary;
 }

@@ -27,10 +27,8 @@ void write_pack(const std::string& path, const py::dict& scene, const py::functi
     });
   }
   diagnostics.throw_if_errors(ErrorKind::data, "");
-  PackOptions options;
-  options.depth_as_mm = false;
   write_packed_scene(
-      path, info, [&](int frame, FrameBuffer& out) { fill_frame(read(frame), info, frame, out); }, options);
+      path, info, [&](int frame, FrameBuffer& out) { fill_frame(read(frame), info, frame, out); }, false);
 }
 
 // The program's own steps of the rendering integral, for studies: samples along rays, and what is composited from them.

@@ -76,7 +76,7 @@ TEST(Alpha, APackedSceneHasIt) {
   const std::string folder = two_images("s");
   NamedDataset scene("transforms_json", {{"root", folder}, {"test_every", "0"}});
   Diagnostics d;
-  (void)pack_scene(scene, folder + "/packed", load(2, false), {}, d);
+  (void)pack_scene(scene, folder + "/packed", load(2, false), d);
   NamedDataset packed("packed", {{"file", "packed"}}, DatasetBuild{folder});
   const LoadedScene a = load_scene(scene, load(2, true), d), b = load_scene(packed, load(1, true), d);
   EXPECT_FALSE(d.has_errors());
@@ -232,7 +232,7 @@ TEST(Pack, PackedSceneIsTheScene) {
   NamedDataset replica = replica_of(folder);
   Diagnostics d;
   SceneLoadOptions half{.downscale = 2};
-  const PackSummary summary = pack_scene(replica, folder + "/room.semfield", half, {}, d);
+  const PackSummary summary = pack_scene(replica, folder + "/room.semfield", half, d);
   EXPECT_EQ(summary.frames, 6);
   EXPECT_EQ(summary.bytes, std::filesystem::file_size(folder + "/room.semfield"));
   NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
@@ -266,7 +266,7 @@ TEST(Pack, MasksAndWideLensesStayAndWhatAMaskHidesDoesNot) {
           eye + ", {\"file_path\": \"b.png\", " + eye + "]}");
   NamedDataset scene("transforms_json", {{"root", folder}});
   Diagnostics d;
-  (void)pack_scene(scene, folder + "/room.semfield", {}, {}, d);
+  (void)pack_scene(scene, folder + "/room.semfield", {}, d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
   NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
   const SceneInfo info = packed.open(d);
@@ -287,7 +287,7 @@ TEST(Pack, WhatIsPackedIsMended) {
   NamedDataset replica = replica_of(folder);
   Diagnostics d;
   SceneLoadOptions options{.convention = {true, true, 0.5, 2}};
-  (void)pack_scene(replica, folder + "/room.semfield", options, {}, d);
+  (void)pack_scene(replica, folder + "/room.semfield", options, d);
   NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
   options.check_geometry = false;
   const LoadedScene a = load_scene(replica, options, d);

@@ -168,17 +168,16 @@ void render(const SceneInfo& info, int i, FrameBuffer& out) {
   if (i == 0) out.label[5] = kVoid;
 }
 
-std::string packed_room(const std::string& folder, const PackOptions& options, int frames = 3) {
+std::string packed_room(const std::string& folder, bool depth_as_mm, int frames = 3) {
   const std::string path = folder + "/room.semfield";
   const SceneInfo info = room_info(frames);
   write_packed_scene(
-      path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, options);
+      path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, depth_as_mm);
   return path;
 }
 
 TEST(PackedScene, RoundTripIsExact) {
-  PackOptions options{.depth_as_mm = false};
-  const PackedScene scene(packed_room(fresh_folder("p"), options));
+  const PackedScene scene(packed_room(fresh_folder("p"), false));
   const SceneInfo want = room_info(3);
   ASSERT_EQ(scene.info().frames.size(), 3u);
   EXPECT_EQ(scene.info().name, "room");
@@ -223,7 +222,7 @@ TEST(PackedScene, RemembersTheAxesOfTheFilesAndWhosePosesTheyAre) {
 }
 
 TEST(PackedScene, MillimetresRoundToHalfAMillimetre) {
-  const PackedScene scene(packed_room(fresh_folder("p"), {}));
+  const PackedScene scene(packed_room(fresh_folder("p"), true));
   FrameBuffer a, b;
   render(room_info(3), 0, a);
   scene.read(0, b);

@@ -250,7 +250,7 @@ std::vector<T> typed(const std::vector<std::byte>& bytes) {
 }  // namespace
 
 void write_packed_scene(const std::string& path, const SceneInfo& info,
-                        const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options) {
+                        const std::function<void(int, FrameBuffer&)>& read, bool depth_as_mm) {
   AtomicFile file(path);
   Header header{};
   file.append(bytes_of(header));
@@ -260,14 +260,14 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
     frame = {};
     read(static_cast<int>(i), frame);
     chunks[i][PackedScene::kColor] = put_chunk(file, raw_bytes(frame.rgb), 0);
-    if (options.with_depth && options.depth_as_mm && fits_millimetres(frame.depth_m)) {
+    if (depth_as_mm && fits_millimetres(frame.depth_m)) {
       chunks[i][PackedScene::kDepth] = put_chunk(file, raw_bytes(millimetres(frame.depth_m)), kMillimetres);
-    } else if (options.with_depth) {
+    } else {
       chunks[i][PackedScene::kDepth] = put_chunk(file, raw_bytes(frame.depth_m), 0);
     }
     chunks[i][PackedScene::kLabel] = put_chunk(file, raw_bytes(frame.label), 0);
     chunks[i][PackedScene::kUsed] = put_chunk(file, raw_bytes(frame.used), 0);
-    if (options.with_instances) chunks[i][PackedScene::kInstance] = put_chunk(file, raw_bytes(frame.instance), 0);
+    chunks[i][PackedScene::kInstance] = put_chunk(file, raw_bytes(frame.instance), 0);
     for (const FrameChannel& one : frame.channels)
       if (one.name == kAlphaChannel) chunks[i][PackedScene::kAlpha] = put_chunk(file, raw_bytes(alpha_bytes(one)), 0);
   }

@@ -22,19 +22,12 @@ namespace semfield {
 /// as the least version that holds it.
 inline constexpr std::uint32_t kPackedVersion = 3;
 
-struct PackOptions {
-  /// true: uint16 millimetres in frames whose depth that rounds by at most 0.1 %, else, and with false, float,
-  /// unchanged.
-  bool depth_as_mm = true;
-  bool with_depth = true;
-  bool with_instances = true;
-};
-
 /// Writes `path` atomically, frame by frame: `read(frame, buffer)` is called once per frame in order, so one frame is
 /// in memory at a time. Of further channels it writes `alpha`. Frames that the callback leaves without a channel are
-/// stored without it. Throws Error(io), or what `read` throws.
+/// stored without it. Depth is kept as uint16 millimetres in frames that this rounds by at most 0.1 %, else, and
+/// without `depth_as_mm`, as float, unchanged. Throws Error(io), or what `read` throws.
 void write_packed_scene(const std::string& path, const SceneInfo& info,
-                        const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options = {});
+                        const std::function<void(int, FrameBuffer&)>& read, bool depth_as_mm = true);
 
 /// Whether the file begins as one of write_packed_scene. Throws Error(no_input) and Error(io).
 bool is_packed_scene(const std::string& path);

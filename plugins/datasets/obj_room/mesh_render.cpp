@@ -674,8 +674,9 @@ void CastCache::write(std::uint64_t number, const FrameInfo& frame, const ClassT
                       const FrameBuffer& cast) const {
   if (folder_.empty()) return;
   try {
-    write_packed_scene(file_of(number), {.name = "cast", .frames = {frame}, .classes = classes, .bounds = {}},
-                       [&cast](int, FrameBuffer& out) { out = cast; }, {.depth_as_mm = false});
+    write_packed_scene(
+        file_of(number), {.name = "cast", .frames = {frame}, .classes = classes, .bounds = {}},
+        [&cast](int, FrameBuffer& out) { out = cast; }, false);
   } catch (const Error&) {  // a full disk, or the folder was removed meanwhile
   }
 }

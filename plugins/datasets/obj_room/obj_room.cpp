@@ -15,6 +15,7 @@
 #include "core/rng.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
+#include "scene/loading/frame_files.h"
 
 namespace semfield {
 
@@ -116,12 +117,16 @@ void validate(const ObjRoomParams& p, Diagnostics& diagnostics) {
     diagnostics.error("config.value.order", "bounds", "has a least corner that is not below the greatest", kBounds);
 }
 
+// Names of the OBJ files in a folder.
+static std::vector<std::string> objs_in(const std::string& folder) {
+  constexpr std::string_view kObj[] = {".obj"};
+  std::vector<std::string> names;
+  for (const std::string& path : files_with(folder, kObj)) names.push_back(fs::path(path).filename().string());
+  return names;
+}
+
 std::string recognise(const std::string& path, ObjRoomParams& p) {
-  std::error_code unknown;
-  std::vector<std::string> found;
-  for (fs::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {
-    if (it->path().extension() == ".obj") found.push_back(it->path().filename().string());
-  }
+  const std::vector<std::string> found = objs_in(path);
   if (found.size() != 1) return "";  // of several, the user says which
   p.root = path;
   return "the room " + found[0];
@@ -206,9 +211,7 @@ class ObjRoom final : public Dataset {
       throw Error(ErrorKind::no_input, "files.folder.missing", "no folder '" + root_ + "'",
                   "set scene.root to the room's folder");
     if (!params_.obj.empty()) return resolved(root_, params_.obj);
-    std::vector<std::string> found;
-    for (const auto& entry : sorted_folder(root_))
-      if (entry.path().extension() == ".obj") found.push_back(entry.path().filename().string());
+    const std::vector<std::string> found = objs_in(root_);
     if (found.empty())
       throw Error(ErrorKind::no_input, "scene.obj.missing", "no OBJ file in '" + root_ + "'",
                   "put one there or set scene.obj");
