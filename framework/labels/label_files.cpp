@@ -33,10 +33,6 @@ std::string file_stem(std::string_view path) {
   return std::filesystem::path(path).stem().string();
 }
 
-std::vector<std::string> names_of(const FrameInfo& frame) {
-  return {frame.name, output_name(frame.name), file_stem(frame.source)};
-}
-
 FrameInfo as_shown(FrameInfo frame) {
   if (turned_by_quarter(frame.orientation)) std::swap(frame.camera.width_px, frame.camera.height_px);
   return frame;

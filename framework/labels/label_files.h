@@ -90,19 +90,6 @@ class LabelReader : public LabelStep {
 /// File name without folder and extension; '\' counts as a slash, as in files from Windows.
 std::string file_stem(std::string_view path);
 
-/// Names by which label files may call a frame: its name, its name with slashes turned into '_', the stem of its
-/// source. Several frames may share the last: match_frames (frame_match.h) knows better.
-std::vector<std::string> names_of(const FrameInfo& frame);
-
-/// The entry of a frame under any of its names, or nullptr.
-template <class T>
-const T* entry_of(const std::map<std::string, T>& entries, const FrameInfo& frame) {
-  for (const std::string& name : names_of(frame)) {
-    if (const auto found = entries.find(name); found != entries.end()) return &found->second;
-  }
-  return nullptr;
-}
-
 /// The frame with a camera of the size of its picture as viewers show it; the other way round too.
 FrameInfo as_shown(FrameInfo frame);
 

@@ -343,9 +343,8 @@ class Reading {
     }
     for (const FrameSegments& frame : set_.frames) set_.classes = set_.classes || !frame.class_of.empty();
     if (std::all_of(set_.frames.begin(), set_.frames.end(), [](const FrameSegments& f) { return f.empty(); })) {
-      const std::vector<std::string> names = names_of(info_.frames.front());
       throw Error(ErrorKind::data, "objects.segments.none",
-                  set_.from + ": holds no segments of a training frame, such as '" + names.front() + "'",
+                  set_.from + ": holds no segments of a training frame, such as '" + info_.frames.front().name + "'",
                   "name files by their frames, or say how they are named with --pattern");
     }
     return std::move(set_);
