@@ -13,12 +13,12 @@ namespace semfield {
 
 namespace {
 
-using Json = nlohmann::json;
+using ExportJson = nlohmann::json;
 namespace fs = std::filesystem;
 
 struct Box2 {
   std::int64_t x0, y0, x1, y1;
-  Json list() const { return Json::array({x0, y0, x1 - x0, y1 - y0}); }
+  ExportJson list() const { return ExportJson::array({x0, y0, x1 - x0, y1 - y0}); }
 };
 
 Box2 box_of(const Outline& outline) {
@@ -77,16 +77,17 @@ void CocoExport::annotate(const std::string& text) {
 void CocoExport::add(const LabelledFrame& frame) {
   const std::int64_t image = ++image_count_;
   append(images_,
-         Json{{"id", image}, {"file_name", image_name(frame)}, {"width", frame.width_px}, {"height", frame.height_px}}
-             .dump(-1, ' ', false, Json::error_handler_t::replace));
-  const auto entry = [&](int index, Json segmentation, std::int64_t area, const Box2& box) {
-    annotate(Json{{"id", annotation_count_ + 1},
-                  {"image_id", image},
-                  {"category_id", classes_.id_of(index)},
-                  {"segmentation", std::move(segmentation)},
-                  {"area", area},
-                  {"bbox", box.list()},
-                  {"iscrowd", masks_ == CocoMasks::run_lengths ? 1 : 0}}
+         ExportJson{
+             {"id", image}, {"file_name", image_name(frame)}, {"width", frame.width_px}, {"height", frame.height_px}}
+             .dump(-1, ' ', false, ExportJson::error_handler_t::replace));
+  const auto entry = [&](int index, ExportJson segmentation, std::int64_t area, const Box2& box) {
+    annotate(ExportJson{{"id", annotation_count_ + 1},
+                        {"image_id", image},
+                        {"category_id", classes_.id_of(index)},
+                        {"segmentation", std::move(segmentation)},
+                        {"area", area},
+                        {"bbox", box.list()},
+                        {"iscrowd", masks_ == CocoMasks::run_lengths ? 1 : 0}}
                  .dump());
   };
   if (masks_ == CocoMasks::run_lengths) {
@@ -95,18 +96,18 @@ void CocoExport::add(const LabelledFrame& frame) {
       if (all[c].area == 0) continue;
       const std::string counts =
           text_of_counts(counts_of_class(frame.label, static_cast<std::int16_t>(c), frame.width_px, frame.height_px));
-      entry(static_cast<int>(c), Json{{"size", {frame.height_px, frame.width_px}}, {"counts", counts}}, all[c].area,
-            all[c].box);
+      entry(static_cast<int>(c), ExportJson{{"size", {frame.height_px, frame.width_px}}, {"counts", counts}},
+            all[c].area, all[c].box);
     }
     return;
   }
   for (const MaskRegion& region : mask_regions(frame.label, frame.width_px, frame.height_px)) {
-    Json points = Json::array();
+    ExportJson points = ExportJson::array();
     for (const PixelPoint& p : region.outline) {
       points.push_back(std::int64_t(p.x));
       points.push_back(std::int64_t(p.y));
     }
-    entry(region.index, Json::array({std::move(points)}), region.area_px, box_of(region.outline));
+    entry(region.index, ExportJson::array({std::move(points)}), region.area_px, box_of(region.outline));
   }
 }
 
@@ -115,22 +116,22 @@ void CocoExport::write(const std::string& path) const {
   for (int c = 0; c < classes_.valid_count(); ++c) {
     const ClassEntry& e = classes_.valid(c);
     if (is_unnamed_class(e.name)) continue;
-    append(categories, Json{{"id", e.id}, {"name", e.name}, {"supercategory", ""}, {"color", e.color}}.dump());
+    append(categories, ExportJson{{"id", e.id}, {"name", e.name}, {"supercategory", ""}, {"color", e.color}}.dump());
   }
   write_file_atomic(path, "{\"images\": [\n" + images_ + "\n],\n\"annotations\": [\n" + annotations_ +
                               "\n],\n\"categories\": [\n" + categories + "\n]}\n");
 }
 
 std::int64_t write_labelme(const std::string& folder, const LabelledFrame& frame, const ClassTable& classes) {
-  Json shapes = Json::array();
+  ExportJson shapes = ExportJson::array();
   for (const MaskRegion& region : mask_regions(frame.label, frame.width_px, frame.height_px)) {
-    Json points = Json::array();
+    ExportJson points = ExportJson::array();
     for (const PixelPoint& p : region.outline) points.push_back({std::int64_t(p.x), std::int64_t(p.y)});
     shapes.push_back({{"label", classes.valid(region.index).name},
                       {"points", std::move(points)},
                       {"group_id", nullptr},
                       {"shape_type", "polygon"},
-                      {"flags", Json::object()}});
+                      {"flags", ExportJson::object()}});
   }
   const std::string stem = output_name(frame.name);
   // labelme opens the image beside the file, by a relative path.
@@ -138,11 +139,12 @@ std::int64_t write_labelme(const std::string& folder, const LabelledFrame& frame
   fs::path image = frame.image_path.empty() ? fs::path(stem + ".png") : fs::relative(frame.image_path, folder, failed);
   if (failed || image.empty()) image = frame.image_path;
   const auto count = static_cast<std::int64_t>(shapes.size());
-  const Json root{{"version", "5.0.0"},          {"flags", Json::object()}, {"shapes", std::move(shapes)},
-                  {"imagePath", image.string()}, {"imageData", nullptr},    {"imageHeight", frame.height_px},
-                  {"imageWidth", frame.width_px}};
+  const ExportJson root{{"version", "5.0.0"},          {"flags", ExportJson::object()},
+                        {"shapes", std::move(shapes)}, {"imagePath", image.string()},
+                        {"imageData", nullptr},        {"imageHeight", frame.height_px},
+                        {"imageWidth", frame.width_px}};
   write_file_atomic((fs::path(folder) / (stem + ".json")).string(),
-                    root.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
+                    root.dump(-1, ' ', false, ExportJson::error_handler_t::replace) + "\n");
   return count;
 }
 
