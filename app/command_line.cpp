@@ -423,8 +423,7 @@ const std::map<std::string, std::string> kGone{{"bench label", "studies/labellin
                                                {"degrade", "labels degrade"},
                                                {"export", "labels export"},
                                                {"fuse", "labels fuse"},
-                                               {"propagate", "labels propagate"},
-                                               {"runs", "report RUN RUN --equal"}};
+                                               {"propagate", "labels propagate"}};
 
 Error unknown_verb(const CLI::App& at, const std::string& word) {
   const std::string group = full_name(at), name = (group.empty() ? "" : group + " ") + word;

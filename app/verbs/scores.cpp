@@ -199,22 +199,15 @@ Verb verb_eval() {
                                 run, Launch::ranks);
 }
 
-// report: error against run time of one or several runs, one self-contained page; or whether two are the same training.
+// report: error against run time of one or several runs, one self-contained page.
 
 namespace {
 
 struct ReportOptions : Options {
-  explicit ReportOptions(const Declaration& at) : Options(at) {
-    excludes("--equal", "--no-3d");
-    excludes("--equal", "--out");
-  }
+  using Options::Options;
   const std::vector<std::string>& runs = operands("run", "run folders");
   const bool& flat = flag("--no-3d", "leave out the view of the first run in 3D");
   const std::string& out = value("--out FILE", "file to write (default: report.html of the first run)");
-  const bool& equal =
-      flag("--equal",
-           "instead of a page: whether two runs are the same training, bit by bit; times, threads and places do not "
-           "count");
 };
 
 // A report needs no scene, a view of it does: where the run does not open, the note says why.
@@ -228,29 +221,7 @@ std::string scene_of(const std::string& run_dir, AppContext& context) {
   }
 }
 
-// 0 where they are.
-int compare(const ReportOptions& options, AppContext& context) {
-  if (options.runs.size() != 2)
-    throw Error(ErrorKind::usage, "usage.word.missing",
-                fmt::format("report --equal: compares two runs, not {}", options.runs.size()), "name two run folders");
-  Diagnostics diagnostics;
-  const RunComparison found = compare_runs(options.runs[0], options.runs[1], context.registry, diagnostics);
-  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.shown());
-  const bool equal = found.difference.empty();
-  Json out{{"equal", equal}};
-  if (equal) {
-    out.update({{"step", found.step}, {"tensors", found.tensors}});
-  } else {
-    out["difference"] = found.difference;
-  }
-  print_results(context, out,
-                equal ? fmt::format("report: equal step={} tensors={}", found.step, found.tensors)
-                      : "report: different: " + found.difference);
-  return equal ? 0 : static_cast<int>(ErrorKind::failure);
-}
-
 int run(const ReportOptions& options, AppContext& context) {
-  if (options.equal) return compare(options, context);
   const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
   const std::string data = read_report(options.runs);
   write_file_atomic(path, report_page(data, options.flat ? "" : scene_of(options.runs.front(), context)));

@@ -1,5 +1,5 @@
-// Runs that are opened again, to go on or to be looked at: what of them is compared with the checkpoint, whether two
-// are the same training, and poses that are learned or fitted to a field.
+// Runs that are opened again, to go on or to be looked at: what of them is compared with the checkpoint, and poses
+// that are learned or fitted to a field.
 #pragma once
 
 #include <cstdint>
@@ -51,20 +51,6 @@ enum class OpenFor { evaluation, evaluation_of_training_frames, rendering, objec
 /// training knew of the scene.
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
                    Diagnostics& diagnostics, OpenFor purpose = OpenFor::evaluation, Ranks* ranks = nullptr);
-
-// Whether two runs are the same training: settings, scene and every bit of their newest checkpoints.
-
-struct RunComparison {
-  std::string difference;  ///< the first one in a sentence; "" = equal
-  std::int64_t step = 0;   ///< of the first run's newest checkpoint
-  std::size_t tensors = 0;
-};
-
-/// Compares, in this order: settings that are part of a run's identity, class tables, inputs, steps, tensors. Times,
-/// threads, places of files and what reports show do not count. Settings are those of the checkpoints; a run.yaml that
-/// says other ones is a warning. Throws Error(no_input) for a folder without a checkpoint.
-RunComparison compare_runs(const std::string& folder_a, const std::string& folder_b, Registry& registry,
-                           Diagnostics& diagnostics);
 
 // Poses that are not those given: of training frames, as a run has learned them; of others, fitted to a field that
 // stays as it is. Where held-out cameras are given wrongly too, scores at their given poses say little of the field.

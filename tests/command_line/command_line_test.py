@@ -76,8 +76,7 @@ class Words(WordsCase):
                              ("degrade room.yaml --out x", "`semfield labels degrade`"),
                              ("-q export run --out x", "`semfield labels export`"),
                              ("fuse room.yaml", "`semfield labels fuse`"),
-                             ("help propagate", "`semfield labels propagate`"),
-                             ("runs equal a b", "`semfield report RUN RUN --equal`")):
+                             ("help propagate", "`semfield labels propagate`")):
             self.refused(words, "usage.verb.unknown", named)
 
     def test_an_unknown_flag_gets_a_suggestion_or_the_verb_that_it_belongs_to(self):
@@ -101,8 +100,6 @@ class Words(WordsCase):
                                     "an item between the commas is empty"),
                                    ("train room.yaml --steps 2.5", "value.invalid", "1 to 1000000000"),
                                    ("render run --split tset", "value.invalid", "did you mean test?"),
-                                   ("report a --equal", "word.missing", "two run folders"),
-                                   ("report a b --equal --no-3d", "word.missing", "--no-3d"),
                                    ("help --json train", "json.none", "")):
             self.refused(words, f"usage.{code}", named)
 
@@ -261,14 +258,7 @@ class JsonOutput(WordsCase):
             refusals += 1
         self.assertGreaterEqual(refusals, 2)
 
-    def test_what_differs_is_told(self):
-        self.ok("train config.yaml --steps 5 --out a")
-        self.ok("train config.yaml --steps 5 --out b --set runtime.seed=7")
-        said = json.loads(self.ended("report a b --equal --json", 1).out)
-        self.assertIs(said["equal"], False)
-        self.assertNotEqual(said["difference"], "")
-        same = json.loads(self.ok("report a a --equal --json").out)
-        self.assertEqual((same["equal"], set(same) - {"semfield", "verb"}), (True, {"equal", "step", "tensors"}))
+    def test_what_was_packed_is_told(self):
         written = json.loads(self.ok("pack config.yaml --format replica --out captured --json -q").out)
         self.assertEqual(set(written) - {"semfield", "verb"}, {"frames", "bytes", "folder"})
         self.assertEqual(self.ended("eval nowhere --json", 66).out, "")

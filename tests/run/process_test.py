@@ -245,39 +245,19 @@ class RunTruth(ProgramCase):
             self.ok(f"{words} --set scene.file=moved.sfpack", self.dir / "elsewhere")
         self.ok("eval run")
 
-    def test_report_equal_compares_what_was_trained(self):
+    def test_equal_runs_have_one_identity(self):
         self.room(8)
         for name, more in (("a", "--threads 1"), ("b", "--threads 2 --set report.log_every_steps=3 --memory 100"),
-                           ("seed", "--threads 1 --set runtime.seed=7"), ("longer", "--threads 1 --steps 9")):
+                           ("seed", "--threads 1 --set runtime.seed=7")):
             self.ok(f"train config.yaml --out {name} {more}")
-
-        def compare(other, code, said):
-            result = self.ended(f"report a {other} --equal", code)
-            self.assertTrue(result.out.startswith(said), result.out)
-
-        compare("b", 0, "report: equal step=8 tensors=")
-        compare("seed", 1, "report: different: runtime.seed: 1 -> 7\n")
-        compare("longer", 1, "report: different: step: 8 -> 9\n")
-        # Equal runs have the same identity, whatever their threads.
-        file_of = lambda name: self.dir / name / "checkpoints/step_00000008.safetensors"
-        a, b, seed = (header_of(file_of(name))["__metadata__"]["config_hash"] for name in ("a", "b", "seed"))
-        self.assertEqual(a, b)
-        self.assertNotEqual(a, seed)
-        header, data = header_of(file_of("b")), bytearray(file_of("b").read_bytes())
-        tensor = next(name for name, one in header.items() if one.get("dtype") == "F32")
-        first, last = (8 + struct.unpack_from("<Q", data)[0] + at for at in header[tensor]["data_offsets"])
-        data[first + 8] ^= 1  # the lowest bit of element 2
-
-        def seal(name, of):
-            at = data.index(f'"{name}":"'.encode()) + len(name) + 4
-            data[at:at + 8] = b"00000000"
-            data[at:at + 8] = b"%08x" % crc32c(of())
-
-        seal(f"semfield.crc32c:{tensor}", lambda: data[first:last])
-        seal("semfield.crc32c", lambda: data)
-        file_of("b").write_bytes(data)
-        compare("b", 1, f"report: different: tensor '{tensor}' differs from element 2 on\n")
-        self.ended("report a nowhere --equal", 66)
+        a, b, seed = (header_of(self.dir / name / "checkpoints/step_00000008.safetensors")["__metadata__"]
+                      for name in ("a", "b", "seed"))
+        self.assertEqual(a["config_hash"], b["config_hash"], "whatever their threads")
+        self.assertNotEqual(a["config_hash"], seed["config_hash"])
+        sums = lambda of: {key: value for key, value in of.items() if key.startswith("semfield.crc32c:")}
+        self.assertEqual(sums(a), sums(b))
+        self.assertGreater(len(sums(a)), 8)
+        self.assertNotEqual(sums(a), sums(seed))
 
     def test_a_resume_may_take_another_seed_or_learning_rate(self):
         """What helps a run over a step that fails may change; the remedy of such a step says so."""

@@ -167,20 +167,6 @@ TEST(SameRun, AnEditedRunYamlIsRefusedWithBothWaysOut) {
   EXPECT_EQ(other.open(), "");
 }
 
-TEST(SameRun, ComparingTellsOfAnEditedRunYaml) {
-  const Trained trained;
-  std::filesystem::copy(trained.run, trained.dir / "copy", std::filesystem::copy_options::recursive);
-  Diagnostics none, told;
-  EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", all_plugins(), none).difference, "");
-  EXPECT_EQ(texts(none), "");
-  trained.edit("density_activation: softplus", "density_activation: trunc_exp");
-  EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", all_plugins(), told).difference, "");
-  EXPECT_EQ(texts(told), trained.run +
-                             "/run.yaml: it differs from what the run was trained with: rendering.density_activation: "
-                             "softplus -> trunc_exp; restore it; the settings in the checkpoints are "
-                             "compared\n");
-}
-
 TEST(SameRun, AChangedFileOfAPluginIsTold) {
   const TempDir dir;
   const std::string module = dir / "waves.so", config = write_packed_config(dir, 4, 0), run = dir / "run";
