@@ -279,7 +279,7 @@ struct HttpServer::Impl : NonCopyable {
     At at = At::reading;  // with these two under the server's lock; the thread alone changes them
     Clock::time_point deadline;
     bool ended = false;  // the socket is closed
-    bool says = false;   // some of the request has come
+    bool says = false;   // some of the request has come; the thread alone looks
     std::thread thread{};
   };
 
