@@ -843,7 +843,7 @@ TEST_F(PreparedRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
 // Pictures of views: their sizes, what they show, and requests that are refused.
 
 struct PicturedRoom : ::testing::Test, LoopedRoom {
-  explicit PicturedRoom(const std::string& scene = "analytic_room") : LoopedRoom(60, quick_options(), scene) {}
+  explicit PicturedRoom(const std::string& scene = "analytic_room") : LoopedRoom(60, quick_learning(), scene) {}
 
   ViewPictures pictures{*training, *loop};
 };

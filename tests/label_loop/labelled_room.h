@@ -67,18 +67,18 @@ inline std::string room_config(const std::string& scene = "analytic_room", const
   return yaml;
 }
 
-inline LabelLoopOptions quick_options() { return LabelLoopOptions{.learning = {.steps = 60, .batch = 128}}; }
+inline PointLearning quick_learning() { return PointLearning{.steps = 60, .batch = 128}; }
 
 struct LoopedRoom {
   std::unique_ptr<Trainer> training;
   std::unique_ptr<LabelLoop> loop;
 
-  explicit LoopedRoom(std::int64_t steps = 150, const LabelLoopOptions& options = quick_options(),
+  explicit LoopedRoom(std::int64_t steps = 150, const PointLearning& learning = quick_learning(),
                       const std::string& scene = "analytic_room") {
     Registry& registry = testing_train::all_plugins();
     training = std::make_unique<Trainer>(run_config_of(parse_config_text(room_config(scene), "test.yaml"), registry),
                                          registry);
-    loop = std::make_unique<LabelLoop>(*training, training->session().drawn_frames(), options);
+    loop = std::make_unique<LabelLoop>(*training, training->session().drawn_frames(), learning);
     train(steps);
   }
   /// More steps, and the surfaces that are due then.

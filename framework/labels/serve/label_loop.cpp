@@ -224,6 +224,14 @@ void for_each_index(std::size_t count, const Body& body) {
   });
 }
 
+constexpr double kMapRays = 400'000;  // of the coarse maps of all views together
+constexpr std::int64_t kPoolPoints = 30'000;
+constexpr double kGraphCost = 0.7;      // e-fold of a class by how much farther it is than the nearest
+constexpr double kSpreadWeight = 0.05;  // of a point that clicks spread to, where a click is 1
+constexpr double kFarCost = 3;          // what is this far from a click says 1/e as much as the click
+constexpr double kDoubtCost = 0.5;      // difference of the ways to two classes that leaves no doubt (tanh 1)
+constexpr std::int32_t kReach_px = 4;   // a click names the pixels around it that look alike; of an image 320 wide
+constexpr std::int64_t kQuickSteps = 80;
 constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
 constexpr std::size_t kMostPixels = 256;  // of a stroke
@@ -265,11 +273,11 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
   return out;
 }
 
-LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const LabelLoopOptions& options,
+LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const PointLearning& learning,
                      std::span<const int> held_out)
     : training_(training),
       pipeline_(*training.session().pipeline),
-      options_(options),
+      learning_(learning),
       logit_of_class_(training.session().logit_of_class()) {
   const Session& session = training.session();
   std::int64_t pixels = 0;
@@ -293,7 +301,7 @@ LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const Label
   for (const int f : held_out)
     shortest = std::min({shortest, add_view(f).width_px, views_.back().camera.camera.height_px});
   ignored_.resize(views_.size());
-  const double stride = std::sqrt(static_cast<double>(pixels) / static_cast<double>(options.map_rays));
+  const double stride = std::sqrt(static_cast<double>(pixels) / kMapRays);
   stride_ = std::clamp(static_cast<std::int32_t>(std::ceil(stride)), 2, std::max(2, shortest / 8));
   live_.assign(static_cast<std::size_t>(classes()), false);
 }
@@ -323,11 +331,11 @@ void LabelLoop::make_pool() {
   std::int64_t pixels = 0;
   for (const PoolView& view : pooled()) pixels += std::ssize(view.map.distance_m);
   pool_ = make_surface_pool(pooled(), training_.session().limits,
-                            std::clamp<std::int64_t>(pixels / kCellPixels, 1, options_.pool_points));
+                            std::clamp<std::int64_t>(pixels / kCellPixels, 1, kPoolPoints));
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool_.points) positions.push_back(point.position);
   pool_rows_ = point_rows(pipeline_, positions);
-  graph_ = SurfaceGraph(pool_, options_.graph);
+  graph_ = SurfaceGraph(pool_, {});
   renew_places();
   settle_seeds();
   predict_pool();
@@ -345,7 +353,7 @@ void LabelLoop::predict_pool() {
 void LabelLoop::weigh_by_way(std::span<const std::int32_t> points, double temperature,
                              std::span<float> probability) const {
   const auto width = static_cast<std::size_t>(classes());
-  const auto fold = static_cast<float>(options_.graph_cost > 0 ? 1 / options_.graph_cost : 0);
+  const auto fold = static_cast<float>(1 / kGraphCost);
   const auto power = static_cast<float>(1 / temperature);
   for_each_index(points.size(), [&](std::size_t i) {
     const std::span<float> row = probability.subspan(i * width, width);
@@ -402,11 +410,10 @@ std::vector<PixelPlace> LabelLoop::one_a_cell(const LabelledPixels& stroke) cons
 
 std::vector<PixelPlace> LabelLoop::pixels_of(const LabelledPixels& click) const {
   if (is_stroke(click)) return one_a_cell(click);
-  if (options_.reach_px == 0) return click.pixels;
   const StoredFrame& photo = *view(click.view).photo;
   std::vector<PixelPlace> all = click.pixels;
   const PixelPlace center = click.pixels.front();
-  const std::int32_t reach = std::max(1, options_.reach_px * photo.width_px / 320);
+  const std::int32_t reach = std::max(1, kReach_px * photo.width_px / 320);
   const auto at = [&](std::int32_t x, std::int32_t y) {
     return 3 * static_cast<std::size_t>(std::int64_t{y} * photo.width_px + x);
   };
@@ -522,11 +529,11 @@ void LabelLoop::add_spread(Named& named) {
     const Settled& s = settled[i];
     if (s.class_index[0] == kVoid) continue;
     const double lead = static_cast<double>(s.cost[1] - s.cost[0]);
-    const double weight = std::exp(-static_cast<double>(s.cost[0]) / options_.far_cost) *
-                          std::tanh(std::min(lead / options_.doubt_cost, 20.0));
+    const double weight =
+        std::exp(-static_cast<double>(s.cost[0]) / kFarCost) * std::tanh(std::min(lead / kDoubtCost, 20.0));
     if (weight < 1e-3) continue;
     named.logit.push_back(s.class_index[0]);
-    named.weight.push_back(static_cast<float>(weight * options_.spread_weight));
+    named.weight.push_back(static_cast<float>(weight * kSpreadWeight));
     const auto row = pool_rows_.values.begin() + static_cast<std::ptrdiff_t>(i * dims);
     named.rows.values.insert(named.rows.values.end(), row, row + static_cast<std::ptrdiff_t>(dims));
   }
@@ -539,7 +546,7 @@ void LabelLoop::learn_from(Named named, std::int64_t steps) {
   for (std::size_t i = 0; i < named.logit.size(); ++i) seeds_.push_back({named.position[i], named.logit[i]});
   settle_seeds();
   add_spread(named);
-  PointLearning learning = options_.learning;
+  PointLearning learning = learning_;
   learning.steps = steps;
   learn_points(pipeline_, named.rows, named.logit, named.weight, learning);
   learned_ = !named.logit.empty();
@@ -547,7 +554,7 @@ void LabelLoop::learn_from(Named named, std::int64_t steps) {
 
 void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
   (void)find_places(clicks, INFINITY);
-  learn_from(named_points(clicks), quickly ? options_.quick_steps : options_.learning.steps);
+  learn_from(named_points(clicks), quickly ? kQuickSteps : learning_.steps);
   clicks_.clear();
   std::copy_if(clicks.begin(), clicks.end(), std::back_inserter(clicks_),
                [](const LabelledPixels& click) { return click.weight >= 1; });
@@ -689,8 +696,7 @@ std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round)
                        .passed = passed,
                        .barred = &barred,
                        .seed = seed,
-                       .round = round,
-                       .rules = options_.proposals});
+                       .round = round});
 }
 
 void LabelLoop::set_skipped(std::vector<LabelledPixels> skipped) {

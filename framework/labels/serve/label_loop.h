@@ -117,20 +117,6 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
 inline constexpr std::size_t kMostClickPixels = 9;
 inline bool is_stroke(const LabelledPixels& named) { return named.pixels.size() > kMostClickPixels; }
 
-struct LabelLoopOptions {
-  std::int64_t map_rays = 400'000;  ///< of the coarse maps of all views together
-  std::int64_t pool_points = 30'000;
-  SurfaceGraphRules graph;
-  ProposalRules proposals;
-  double graph_cost = 0.7;      ///< e-fold of a class by how much farther it is than the nearest; 0: the network alone
-  double spread_weight = 0.05;  ///< of a point that clicks spread to, where a click is 1
-  double far_cost = 3;          ///< what is this far from a click says 1/e as much as the click
-  double doubt_cost = 0.5;      ///< difference of the ways to two classes that leaves no doubt (tanh 1)
-  std::int32_t reach_px = 4;    ///< a click names the pixels around it that look alike; of an image 320 pixels wide
-  PointLearning learning;
-  std::int64_t quick_steps = 80;
-};
-
 /// Labels of a view at its full size.
 struct ViewLabels {
   std::int32_t width_px = 0, height_px = 0;
@@ -143,7 +129,7 @@ class LabelLoop {
  public:
   /// `frames`: the views, numbers in SceneInfo::frames; `held_out`: views behind them that are only looked at, so
   /// neither surface nor questions come from them. Borrows the training, which must have semantics.
-  LabelLoop(Trainer& training, std::span<const int> frames, const LabelLoopOptions& options,
+  LabelLoop(Trainer& training, std::span<const int> frames, const PointLearning& learning,
             std::span<const int> held_out = {});
 
   const std::vector<PoolView>& views() const { return views_; }
@@ -244,7 +230,7 @@ class LabelLoop {
 
   Trainer& training_;
   Pipeline<float>& pipeline_;
-  LabelLoopOptions options_;
+  PointLearning learning_;
   std::vector<PoolView> views_;
   std::size_t pooled_ = 0;
   std::vector<std::vector<bool>> ignored_;  // of each view
