@@ -1,13 +1,11 @@
 #include <algorithm>
 #include <cstdint>
-#include <filesystem>
 #include <map>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "core/rng.h"
-#include "formats/image_io.h"
 #include "scene/camera.h"
 #include "scene/loading/capture/photographs.h"
 #include "scene/loading/capture/prepare.h"
@@ -23,34 +21,11 @@ namespace {
 
 using namespace testing_room;
 
-void photograph(const std::string& path, int width = 8, int height = 6) {
-  std::filesystem::create_directories(std::filesystem::path(path).parent_path());
-  write_png_rgb(path, width, height, std::vector<std::uint8_t>(static_cast<std::size_t>(3 * width * height), 90));
-}
-
 TEST(CaptureNames, NumbersInNamesAreNumbers) {
   std::vector<std::string> names{"b2.jpg", "10.jpg", "b10.jpg", "2.jpg", "02.jpg", "b.jpg", "2"};
   std::sort(names.begin(), names.end(), comes_before);
   EXPECT_EQ(names, (std::vector<std::string>{"2", "02.jpg", "2.jpg", "10.jpg", "b.jpg", "b2.jpg", "b10.jpg"}));
   for (const std::string& a : names) EXPECT_FALSE(comes_before(a, a));
-}
-
-TEST(CaptureSource, PhotographsOfAFolderOrOfItsFolders) {
-  const std::string folder = fresh_folder("s");
-  for (const char* name : {"1", "10", "2"}) photograph(folder + "/images/" + std::string(name) + ".png");
-  plain_write(folder + "/images/notes.txt", "");
-  const CaptureSource one = look_at_source(folder);
-  ASSERT_EQ(one.photographs.size(), 3u);
-  EXPECT_EQ(one.photographs[2].name, "10.png");
-  EXPECT_FALSE(one.camera_per_folder);
-  const std::string pair = fresh_folder("pair");
-  for (const char* name : {"left/1", "left/2", "right/1"}) photograph(pair + "/" + name + ".png");
-  const CaptureSource two = look_at_source(pair);
-  ASSERT_EQ(two.photographs.size(), 3u);
-  EXPECT_EQ(two.photographs[2].name, "right/1.png");
-  EXPECT_TRUE(two.camera_per_folder);
-  plain_write(folder + "/a.MOV", "");
-  EXPECT_TRUE(look_at_source(folder + "/a.MOV").video);
 }
 
 TEST(CapturePairs, OfAFilmCoverNeighboursAndLoops) {
@@ -117,21 +92,6 @@ TEST(CaptureSharpness, TheSharpestOfEachIntervalUnlessStillOrBlurred) {
   EXPECT_EQ(choice.kept, (std::vector<std::size_t>{1, 4, 8}));
   EXPECT_EQ(choice.still, 1u);
   EXPECT_EQ(choice.blurred, 1u);
-}
-
-TEST(CaptureState, StepsAreRememberedForTheSamePhotographsAlone) {
-  const std::string file = fresh_folder("s") + "/steps.json";
-  {
-    PrepareState state(file, "ten photographs");
-    EXPECT_EQ(state.done("features"), nullptr);
-    state.mark("features", "a\nb");
-  }
-  PrepareState again(file, "ten photographs");
-  ASSERT_NE(again.done("features"), nullptr);
-  EXPECT_EQ(*again.done("features"), "a\nb");
-  EXPECT_ERROR(PrepareState(file, "eleven photographs"), "capture.scene.other", file);
-  plain_write(file, "{\"identity\": \"ten ph");
-  EXPECT_ERROR(PrepareState(file, "ten photographs"), "capture.scene.other", file);
 }
 
 TEST(CaptureMissing, RangesSayWhyAndWhatToDo) {

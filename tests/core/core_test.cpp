@@ -61,16 +61,6 @@ TEST(Words, NumbersAreWholeWords) {
   EXPECT_EQ(v, 7);
 }
 
-TEST(Words, CharactersOfUtf8) {
-  const std::string_view text = "a\xC3\xA9\xE2\x82\xAC\xF0\x9F\x98\x80";
-  EXPECT_EQ(utf8_length(text, 0), 1u);
-  EXPECT_EQ(utf8_length(text, 1), 2u);
-  EXPECT_EQ(utf8_length(text, 3), 3u);
-  EXPECT_EQ(utf8_length(text, 6), 4u);
-  for (const char* bad : {"\x96", "\xC3", "\xC0\xAF", "\xED\xA0\x80", "\xF5\x80\x80\x80"})
-    EXPECT_EQ(utf8_length(bad, 0), 0u);
-}
-
 TEST(Words, AShellReadsAShellWordAsTheText) {
   EXPECT_EQ(shell_word("runs/room_2,a=b"), "runs/room_2,a=b");
   EXPECT_EQ(shell_word(""), "''");
@@ -211,19 +201,6 @@ void take_back(std::byte* block) {
   std::free(block);
 }
 constexpr BlockSource kSource{Device::cuda, give, take_back};
-
-TEST(Workspace, MergesItsBlocksWhenNothingIsInUse) {
-  Workspace arena;
-  for (int step = 0; step < 3; ++step) {
-    const Workspace::Scope scope(arena);
-    const std::int64_t growths = arena.growth_count();
-    for (int i = 0; i < 8; ++i) std::fill_n(arena.take_bytes(kMega), kMega, std::byte{1});
-    if (step > 0) {
-      EXPECT_EQ(arena.growth_count(), growths);
-    }
-  }
-  EXPECT_GE(arena.reserved_bytes(), arena.high_water_bytes());
-}
 
 TEST(Workspace, AMergeThatIsRefusedIsToldByTheNextTake) {
   g_left = 64 * kMega;
@@ -640,11 +617,6 @@ TEST(Isa, TakesTheBestVariantThatNeedsNoMore) {
     constexpr IsaVariant<int> kWithout[] = {{Isa::generic, 0}, {Isa::avx2, 1}, {Isa::avx512, 2}};
     EXPECT_EQ(best_variant(kWithout), 2);
   }
-}
-
-TEST(Isa, EmulatesTilesOnlyWhenAsked) {
-  const char* wanted = std::getenv("SEMFIELD_ISA");
-  EXPECT_EQ(isa() == Isa::amx_emulated, wanted != nullptr && std::string_view(wanted) == "amx_emulated");
 }
 
 }  // namespace

@@ -444,15 +444,6 @@ class Reorder : public ::testing::TestWithParam<Save> {
     ASSERT_EQ(trial.save().code, 0);
     calls_ = trial.calls();
   }
-  // The record without the calls that `drop` picks: a program that forgot them.
-  template <class Drop>
-  std::vector<FileCall> without(Drop&& drop) const {
-    std::vector<FileCall> kept;
-    for (const FileCall& c : calls_) {
-      if (!drop(c)) kept.push_back(c);
-    }
-    return kept;
-  }
   DiskState before_;
   std::string root_;
   std::vector<FileCall> calls_;
@@ -464,18 +455,6 @@ TEST_P(Reorder, EveryStateHoldsTheOldOrTheNewAndInTheEndTheNew) {
   EXPECT_EQ(v.forgotten, 0) << v.first;
   EXPECT_GT(v.found_old, 0);
   EXPECT_GT(v.found_new, 0);
-}
-
-// The model sees what it is for: without its syncs the same save is not safe.
-TEST_P(Reorder, ASaveWithoutItsSyncsIsFoundOut) {
-  const auto is_folder = [&](const FileCall& c) {
-    return c.name == "fsync" && std::filesystem::path(c.path).extension().empty();
-  };
-  const Verdict no_folder = judge(GetParam(), without(is_folder), before_, root_);
-  EXPECT_GT(no_folder.forgotten, 0) << "the folder's fsync is not needed, or the model is blind to it";
-  const auto is_file = [&](const FileCall& c) { return c.name == "fsync" && !is_folder(c); };
-  const Verdict no_file = judge(GetParam(), without(is_file), before_, root_);
-  EXPECT_GT(no_file.forgotten + no_file.torn, 0) << "the file's fsync is not needed, or the model is blind to it";
 }
 
 INSTANTIATE_TEST_SUITE_P(EverySave, Reorder, ::testing::ValuesIn(kSaves), param_name);
@@ -506,7 +485,7 @@ TEST(Damage, OfAPackedSceneIsNoticed) {
   }
 }
 
-// The log of label events: failing at every file call, and killed 200 times between a click and its acknowledgement.
+// The log of label events, failing at every file call.
 
 TEST(ClickLogFaults, AtEveryCallAreToldAndLeaveTheLogAsItWas) {
   const Undisturbed& u = undisturbed(Save::clicks);
@@ -547,57 +526,6 @@ TEST(ClickLogFaults, TheEventIsSyncedAndSoIsItsFilesEntry) {
     entry = entry || (call.name == "fsync" && call.path.ends_with("/work"));
   }
   EXPECT_TRUE(event && entry);
-}
-
-// `label` on one log, killed at some moment; the numbers that it said.
-std::vector<int> label_until_killed(const Trial& trial, std::uint64_t round) {
-  int ends[2];
-  if (pipe2(ends, O_CLOEXEC) != 0) ADD_FAILURE() << std::strerror(errno);
-  const std::string folder = trial.folder();
-  const pid_t child = fork();
-  if (child == 0) {
-    dup2(ends[1], STDOUT_FILENO);
-    execl(SEMFIELD_VICTIM, SEMFIELD_VICTIM, "label", name_of(Save::clicks), folder.c_str(), nullptr);
-    _exit(127);
-  }
-  close(ends[1]);
-  std::vector<int> said;
-  int number = 0;
-  // After so many acknowledgements and at some moment within the next clicks: before, in or after a write, or before
-  // its acknowledgement.
-  const RandomAddress address{1, round, stream_id("test/kill")};
-  const auto answers = uniform_below(address, 0, 6);
-  const auto moment_us = uniform_below(address, 1, 300);
-  bool killed = false;
-  while (read(ends[0], &number, sizeof number) == sizeof number) {
-    said.push_back(number);
-    if (!killed && said.size() > answers) {
-      usleep(static_cast<useconds_t>(moment_us));
-      kill(child, SIGKILL);  // what stands in the pipe is still read: it was acknowledged
-      killed = true;
-    }
-  }
-  int status = 0;
-  waitpid(child, &status, 0);
-  EXPECT_TRUE(WIFSIGNALED(status)) << "the process ended by itself with " << status;
-  close(ends[0]);
-  return said;
-}
-
-TEST(ClickLogKill, TwoHundredTimesBetweenClickAndAnswerLosesNoneThatWasAcknowledged) {
-  const Trial trial(Save::clicks);
-  int next = 2;
-  for (std::uint64_t round = 0; round < 200; ++round) {
-    const std::vector<int> said = label_until_killed(trial, round);
-    ASSERT_FALSE(said.empty());
-    for (const int number : said) ASSERT_EQ(number, next++) << "round " << round;
-    Diagnostics diagnostics;
-    const std::vector<LabelEvent> events = read_click_log(click_log_path(trial.folder()), diagnostics);
-    ASSERT_GE(std::ssize(events), next) << "an acknowledged click is lost in round " << round;
-    ASSERT_LE(std::ssize(events), next + 1) << "more than one click without an answer in round " << round;
-    for (std::size_t i = 0; i < events.size(); ++i) ASSERT_EQ(events[i], click_event(static_cast<int>(i)));
-    next = static_cast<int>(events.size());
-  }
 }
 
 // Pages of the stack below here, as a deep call takes them.

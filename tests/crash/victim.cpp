@@ -1,11 +1,7 @@
-// The process that faults are thrown at: `save WHAT FOLDER` saves, `look WHAT FOLDER` says what a fresh start finds;
-// `label clicks FOLDER` appends events for ever and says each one's number once it is taken.
-#include <unistd.h>
-
+// The process that faults are thrown at: `save WHAT FOLDER` saves, `look WHAT FOLDER` says what a fresh start finds.
 #include <cstdio>
 
 #include "core/error.h"
-#include "labels/clicks.h"
 #include "tests/crash/scenarios.h"
 
 int main(int count, char** words) {
@@ -20,14 +16,6 @@ int main(int count, char** words) {
     return 0;
   }
   try {
-    if (verb == "label") {
-      Diagnostics torn;
-      ClickLog log = ClickLog::open(click_log_path(folder), torn);
-      for (int i = static_cast<int>(log.events().size());; ++i) {
-        log.append(click_event(i));
-        if (write(STDOUT_FILENO, &i, sizeof i) != sizeof i) return 1;
-      }
-    }
     perform(what, folder);
   } catch (const Error& error) {
     std::fprintf(stderr, "%s\n", error.what());

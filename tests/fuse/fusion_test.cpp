@@ -1,4 +1,4 @@
-// Votes of class probabilities against numbers worked out by hand, labels spread by diffusion, real predictions.
+// Votes of class probabilities, and labels spread by diffusion.
 
 #include "surface/fuse/fusion.h"
 
@@ -10,13 +10,11 @@
 #include <algorithm>
 
 #include "core/rng.h"
-#include "eval/metrics.h"
 #include "scene/classes/class_table.h"
+#include "scene/loading/frame_source.h"
 #include "surface/surface_graph.h"
 #include "tests/analytic_scene.h"
-#include "tests/datasets/named_dataset.h"
 #include "tests/says.h"
-#include "tests/scene/tiny_scene.h"
 
 namespace semfield {
 namespace {
@@ -25,38 +23,11 @@ using Row = std::array<double, 3>;
 
 ClassVotes three(double floor = 1e-6, double confidence = 0.8) { return {3, floor, HardLikelihood(confidence, 3)}; }
 
-void expect_row(const Row& found, const Row& want, double tolerance) {
-  for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(found[c], want[c], tolerance) << c;
-}
 Row bayesian(const ClassVotes& votes) {
   Row p{1, 1, 1};
   votes.bayesian(p);
   return p;
 }
-Row average(const ClassVotes& votes) {
-  Row p{1, 1, 1};
-  votes.average(p);
-  return p;
-}
-
-TEST(ClassVotes, BayesianIsTheProduct) {
-  ClassVotes votes = three();
-  votes.add(Row{0.5, 0.3, 0.2});
-  votes.add(Row{0.1, 0.6, 0.3});
-  expect_row(bayesian(votes), {5.0 / 29, 18.0 / 29, 6.0 / 29}, 1e-14);  // 0.05, 0.18, 0.06 of 0.29
-  EXPECT_EQ(votes.bayesian_label(kVoid), 1);
-  EXPECT_EQ(votes.views(), 2);
-}
-
-TEST(ClassVotes, AverageIsTheMean) {
-  ClassVotes votes = three();
-  votes.add(Row{0.5, 0.3, 0.2});
-  votes.add(Row{0.1, 0.6, 0.3});
-  votes.add(Row{0.9, 0.0, 0.0});  // a tenth belongs to no class
-  expect_row(average(votes), {0.5, 0.3, 0.5 / 3}, 1e-15);
-  EXPECT_EQ(votes.average_label(kVoid), 0);
-}
-
 TEST(ClassVotes, FloorKeepsOneViewFromRulingOutAClass) {
   // Nine views give class 0 0.9; one gives it nothing. With a floor of 1e-3: 0.9^9 * 1e-3 = 3.9e-4 against
   // 0.1^9 * 1 = 1e-9. With 1e-12 the one view wins: 3.9e-13 < 1e-9.
@@ -72,43 +43,12 @@ TEST(ClassVotes, FloorKeepsOneViewFromRulingOutAClass) {
   }
 }
 
-TEST(ClassVotes, LabelsBecomeAConfusionLikelihood) {
-  ClassVotes votes = three(1e-6, 0.8);
-  votes.add(std::int16_t{2});
-  votes.add(Row{0.5, 0.3, 0.2});
-  expect_row(bayesian(votes), {5.0 / 24, 3.0 / 24, 16.0 / 24}, 1e-14);  // 0.1 * 0.5, 0.1 * 0.3, 0.8 * 0.2 of 0.24
-  expect_row(average(votes), {0.3, 0.2, 0.5}, 1e-15);
-}
-
 TEST(ClassVotes, ManyViewsNeitherOverflowNorVanish) {
   ClassVotes votes = three();
   for (int i = 0; i < 100000; ++i) votes.add(Row{0.4, 0.35, 0.25});
   const Row p = bayesian(votes);
   EXPECT_DOUBLE_EQ(p[0], 1);
   EXPECT_DOUBLE_EQ(p[0] + p[1] + p[2], 1);
-}
-
-TEST(ClassVotes, EqualVotesGoToThePreferredLabelThenTheFirst) {
-  ClassVotes votes = three();
-  votes.add(std::int16_t{2});
-  votes.add(std::int16_t{1});
-  EXPECT_EQ(votes.bayesian_label(2), 2);
-  EXPECT_EQ(votes.average_label(2), 2);
-  EXPECT_EQ(votes.bayesian_label(1), 1);
-  EXPECT_EQ(votes.bayesian_label(0), 1);  // not among the best
-  EXPECT_EQ(votes.average_label(kVoid), 1);
-  votes.add(std::int16_t{1});
-  EXPECT_EQ(votes.bayesian_label(2), 1);
-}
-
-TEST(ClassVotes, NothingAddedIsVoid) {
-  ClassVotes votes = three();
-  votes.add(std::int16_t{2});
-  votes.clear();
-  EXPECT_EQ(votes.bayesian_label(0), kVoid);
-  EXPECT_EQ(votes.average_label(0), kVoid);
-  EXPECT_EQ(bayesian(votes), Row{});
-  EXPECT_EQ(average(votes), Row{});
 }
 
 TEST(ClassVotes, AConfidenceThatSaysNothingIsRefused) {
@@ -140,21 +80,6 @@ struct Graph {
   }
   Diffusion spread(double weight) const { return diffuse_votes(edges, votes, classes, weight, {}); }
 };
-
-TEST(LabelDiffusion, AChainByHand) {
-  // Votes of weight 1 at both ends of 0 - 1 - 2: four equal resistors in a row, read at their three joints.
-  const std::vector<GraphEdge> chain{{0, 1, 1}, {1, 2, 1}};
-  const std::vector<double> votes{1, 0, 0, 0, 0, 1};
-  const Diffusion even = diffuse_votes(chain, votes, 2, 1, {});
-  const float expected[] = {0.75F, 0.25F, 0.5F, 0.5F, 0.25F, 0.75F};
-  for (std::size_t i = 0; i < 6; ++i) EXPECT_NEAR(even.probability[i], expected[i], 1e-5F) << i;
-  EXPECT_EQ(even.parts, 1);
-  // Votes that hold harder are nearer to seeds: 1/w + 1 + 1 + 1/w with w = 10.
-  EXPECT_NEAR(diffuse_votes(chain, votes, 2, 10, {}).probability[0], 2.1F / 2.2F, 1e-5F);
-  // A weak edge between 0 and 1 gives 1 to the other end: from 1, 1/0.1 to the left against 1 to the right.
-  const std::vector<GraphEdge> weak{{0, 1, 0.1}, {1, 2, 1}};
-  EXPECT_NEAR(diffuse_votes(weak, votes, 2, 1, {}).probability[2], 2.0F / 13.0F, 1e-5F);
-}
 
 TEST(LabelDiffusion, AgreesWithADirectFactorisation) {
   const Graph graph;
@@ -207,27 +132,6 @@ TEST(LabelDiffusion, PartsWithoutAVoteStayEmpty) {
   EXPECT_EQ(out.parts, 4);
   EXPECT_EQ(out.parts_without_vote, 2);
   EXPECT_EQ(diffuse_votes(edges, std::vector<double>(12), 2, 1, {}).probability, std::vector<float>(12));
-}
-
-// Real predictions of two networks on frames of Replica, where the data are at hand.
-
-const std::string kRoot = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/replica_apartment0";
-
-LoadedScene apartment(const std::string& label_dir) {
-  NamedDataset replica("replica", {{"root", kRoot}, {"label_dir", label_dir}, {"train_step", "1"}, {"test_step", "0"}});
-  Diagnostics diagnostics;
-  return load_scene(replica, {}, diagnostics);
-}
-
-TEST(RealPredictions, MonocularIsAsItsMakersMeasured) {
-  if (!std::filesystem::exists(kRoot)) GTEST_SKIP() << "the optional Replica frames are not at hand";
-  for (const auto& [network, accuracy] : {std::pair{"cnn_strong", 0.859}, std::pair{"cnn_weak", 0.428}}) {
-    const LoadedScene scene = apartment("semantic_class"), predicted = apartment(network);
-    ConfusionMatrix all(scene.info.classes.valid_count());
-    for (std::size_t f = 0; f < scene.frames.size(); ++f)
-      all.add(scene.frames[f].label.expand(), predicted.frames[f].label.expand());
-    EXPECT_NEAR(*all.total_accuracy(), accuracy, 0.001) << network;
-  }
 }
 
 // Reprojection: two views of a plane by hand, an independent matrix product, hidden surfaces, choice of views.
@@ -535,13 +439,6 @@ TEST(SurfaceCells, ManyKeepTheirNumbers) {
     ASSERT_EQ(cells.near({places[i][0] + 0.5, places[i][1] + 0.5, places[i][2] + 0.5}), static_cast<std::int32_t>(i));
   }
   EXPECT_EQ(cells.near({0.5, 0.5, 1000.5}), -1);
-}
-
-TEST(SurfaceCells, ABlockHasEveryPair) {
-  SurfaceCells cells(1);
-  for (int i = 0; i < 27; ++i) cells.add(Vec3d{i / 9 + 0.5, i / 3 % 3 + 0.5, i % 3 + 0.5});
-  // Of 3 x 3 x 3 cells: 3 directions with 2 x 9 pairs each, 6 with 2 x 2 x 3, 4 with 2 x 2 x 2.
-  EXPECT_EQ(cells.neighbours().size(), 54u + 72u + 32u);
 }
 
 TEST(SurfaceCells, NormalsOfTheAnalyticRoom) {

@@ -338,21 +338,6 @@ TEST(SurfacePool, BordersOfDepthAreNotInterior) {
   RecordProperty("borders", borders);
 }
 
-TEST(SurfacePool, IsTheSameForAnyThreads) {
-  const SeenRoom room;
-  const auto made = [&] { return make_surface_pool(room.views, room_limits(), 500); };
-  const SurfacePool one = on_threads(1, made), three = on_threads(3, made);
-  EXPECT_EQ(one.cell_m(), three.cell_m());
-  EXPECT_EQ(one.point_of_pixel, three.point_of_pixel);
-  ASSERT_EQ(one.points.size(), three.points.size());
-  for (std::size_t i = 0; i < one.points.size(); ++i) {
-    EXPECT_EQ(one.points[i].position, three.points[i].position);
-    EXPECT_EQ(one.points[i].normal, three.points[i].normal);
-    EXPECT_EQ(one.points[i].pixel.column, three.points[i].pixel.column);
-    EXPECT_EQ(one.points[i].view, three.points[i].view);
-  }
-}
-
 TEST(SurfacePool, ViewsWithoutAMapOrASurfaceAddNothing) {
   SeenRoom room(2, 4);
   room.views[1].map = {};
@@ -449,11 +434,8 @@ TEST_F(LearnedRoom, TheyAreThoseOfRendering) {
   for (const float nothing : surface_distances(*session_->pipeline, from, none, pixels)) EXPECT_EQ(nothing, 0);
 }
 
-TEST_F(LearnedRoom, AMapIsTheSameForAnyThreadsAndOfAnyStride) {
-  const auto made = [&] { return map_of(2, 3); };
-  const SurfaceMap one = on_threads(1, made), three = on_threads(3, made);
-  EXPECT_EQ(one.distance_m, three.distance_m);
-  const SurfaceMap every = map_of(2, 1);
+TEST_F(LearnedRoom, AMapIsTheSameOfAnyStride) {
+  const SurfaceMap one = map_of(2, 3), every = map_of(2, 1);
   ASSERT_EQ(every.distance_m.size(), 48u * 36u);
   for (std::int64_t i = 0; i < std::ssize(one.distance_m); ++i) {
     const PixelPlace at = strided_place(i, one.width_px, one.stride);
@@ -757,12 +739,6 @@ TEST(LabelUpsampling, StrideOneIsTheIdentity) {
   EXPECT_EQ(out.entropy, coarse.entropy);
 }
 
-TEST(LabelUpsampling, WithoutAMapNothingIsNamed) {
-  const ViewLabels out = upsampled({}, photo_of(6, 4));
-  EXPECT_EQ(out.label, std::vector<std::int16_t>(24, kVoid));
-  EXPECT_EQ(out.entropy, std::vector<std::uint8_t>(24, 0));
-}
-
 // An edge of colour between two samples of the map, wherever it lies.
 TEST(LabelUpsampling, LabelsFollowAnEdgeOfColour) {
   for (const std::int32_t stride : {3, 4, 6}) {
@@ -784,7 +760,7 @@ TEST(LabelUpsampling, LabelsFollowAnEdgeOfColour) {
   }
 }
 
-// Sizes that no stride divides, random colours: what comes out is between what is around, for any threads.
+// Sizes that no stride divides, random colours: what comes out is between what is around.
 TEST(LabelUpsampling, LabelsAndEntropyAreThoseOfTheNeighbours) {
   const RandomAddress random{3, 0, stream_id("label_upsampling_test")};
   StoredFrame photo = photo_of(29, 22);
@@ -818,12 +794,6 @@ TEST(LabelUpsampling, LabelsAndEntropyAreThoseOfTheNeighbours) {
       }
     }
   }
-  for (const int threads : {1, 3}) {
-    const ThreadScope scope(threads);
-    const ViewLabels again = upsampled(coarse, photo);
-    EXPECT_EQ(again.label, out.label);
-    EXPECT_EQ(again.entropy, out.entropy);
-  }
 }
 
 // Which click is proposed next, and why, and how clicks calibrate confidence.
@@ -845,60 +815,11 @@ struct Known {
                          .seed = seed,
                          .round = round};
   }
-  // Rows of two probabilities that are alike but at `point`.
-  void doubt_only(std::size_t point) {
-    probability.clear();
-    for (std::size_t i = 0; i < pool.points.size(); ++i) {
-      const float sure = i == point ? 0.5F : 0.97F;
-      probability.insert(probability.end(), {sure, 1 - sure, 0.0F});
-    }
-  }
   std::int32_t click(std::int16_t cls, std::int32_t point) {
     graph.add({point, cls});
     return point;
   }
 };
-
-TEST(Proposals, BarredPointsAreNotAskedAbout) {
-  Known known;
-  std::vector<bool> barred(known.pool.points.size(), true);
-  for (std::size_t i = 0; i < barred.size(); ++i) barred[i] = known.pool.points[i].position.x > 0;
-  for (std::uint64_t round = 0; round < 20; ++round) {
-    ProposalInput input = known.input(1, round);
-    input.barred = &barred;
-    const auto asked = choose_click(input);
-    ASSERT_TRUE(asked.has_value());
-    EXPECT_FALSE(barred[asked->point]) << round;
-  }
-}
-
-TEST(Proposals, NothingIsAskedOfAnEmptyPool) {
-  const SurfacePool none;
-  const SurfaceGraph graph(none, {});
-  ProposalInput in{.pool = &none, .graph = &graph};
-  EXPECT_FALSE(choose_click(in).has_value());
-}
-
-TEST(Proposals, BeforeTheFirstClickAnythingIsUnseen) {
-  const Known known;
-  const std::optional<Asked> asked = choose_click(known.input());
-  ASSERT_TRUE(asked.has_value());
-  EXPECT_GE(asked->point, 0);
-  EXPECT_LT(asked->point, std::ssize(known.pool.points));
-  EXPECT_EQ(asked->why, "unseen");
-}
-
-TEST(Proposals, TheSameSeedAndRoundAskTheSameForAnyThreads) {
-  Known known;
-  known.click(0, 3);
-  known.doubt_only(20);
-  for (std::uint64_t round = 0; round < 6; ++round) {
-    const auto made = [&] { return *choose_click(known.input(9, round)); };
-    const Asked one = on_threads(1, made), three = on_threads(3, made);
-    EXPECT_EQ(one.point, three.point);
-    EXPECT_EQ(one.gain, three.gain);
-  }
-}
 
 // One class is named at one place: what is far from it by way of the surface is proposed, however sure the network is.
 TEST(Proposals, WithOneClassTheOpenSurfaceIsAskedFor) {

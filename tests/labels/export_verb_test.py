@@ -76,6 +76,23 @@ class Labels(ProgramCase):
             self.assertEqual(self.given(f"{form}_back"), rendered, form)
         self.config(f"type: packed, file: room.sfpack, labels: {{from: {own}}}")
         self.assertEqual(self.given("packed"), labels)
+        # Maps that were rendered, and clicks of the page, are of pixels as stored; clicks in a table are of those shown.
+        self.config(f"{scene}, labels: {{from: {{type: images, folder: rendered, pattern: '{{name}}_label.png'}}}}")
+        self.assertEqual(self.given("rendered_back"), rendered)
+        dot = lambda at: bytes(p == at for p in range(1200))
+        self.write("clicks.csv", "".join(f"rgb_{i},2,1,west\n" for i in range(len(TURNS))))
+        self.config(f"{scene}, labels: {{from: {{type: clicks, file: clicks.csv}}}}")
+        self.assertEqual(self.given("clicked"), [dot(2 + (30 if turn >= 5 else 40)) for turn in TURNS])
+        self.write("clicks.jsonl", "".join(
+            f'{{"id":"{i}","type":"click","frame":"rgb_{i}","size":[40,30],"points":[[2.5,1.5]],"radius":0,"class":"west"}}\n'
+            for i in range(len(TURNS))))
+        self.config(f"{scene}, labels: {{from: {{type: clicks, file: clicks.jsonl}}}}")
+        self.assertEqual(self.given("clicked_on_the_page"), [shown(turn, dot(42)) for turn in TURNS])
+        # Probabilities are written as shown, and read so.
+        self.config(f"{scene}, labels: {{from: {own}, degrade: [{{type: simulated_predictions, strength: 0}}]}}")
+        self.assertEqual(self.given("soft"), labels)
+        self.config(f"{scene}, labels: {{from: {{type: npz, folder: soft/probability, pattern: '{{name}}.npy'}}}}")
+        self.assertEqual(self.given("soft_back"), labels)
         # A run that loads its images smaller: labels have the size of the images, unless an option says otherwise.
         for size, width in (("stored", 40), ("trained", 20)):
             self.ok(f"labels export run --split train --set scene.load.downscale=2 --size {size} --out half.json")

@@ -202,7 +202,7 @@ TEST(LabelExport, ImagesOfOneNameInTwoFoldersStayTwo) {
   EXPECT_HAS(error_of([&] { coco.add(second); }), "right_0001", "is called");
 }
 
-// Labels are drawn over pictures as viewers show them: every reader, every EXIF orientation, at every loaded size.
+// Labels are drawn over pictures as viewers show them, of every EXIF orientation. Every reader: export_verb_test.py.
 
 using testing_room::fresh_folder;
 
@@ -256,84 +256,7 @@ struct TurnedCase {
     rows[static_cast<std::size_t>(at.right_y)][static_cast<std::size_t>(at.right_x)] = '2';
     return rows;
   }
-  std::string size_keys(const char* width, const char* height) const {
-    return std::string("\"") + width + "\": " + std::to_string(shown_w()) + ", \"" + height +
-           "\": " + std::to_string(shown_h());
-  }
 };
-
-TEST(TurnedPictures, EveryReaderUnderstandsThemAsShown) {
-  for (const auto& [w, h] : {std::pair{5, 3}, std::pair{4, 4}}) {
-    for (int orientation = 1; orientation <= 8; ++orientation) {
-      TurnedCase c(w, h, orientation);
-      const std::string told = std::to_string(w) + " x " + std::to_string(h) + ", " + std::to_string(orientation);
-      const int right = c.shown_w();
-      const std::string r0 = std::to_string(right - 1), r1 = std::to_string(right), all = std::to_string(c.shown_h());
-
-      write_file_atomic(
-          c.folder + "/coco.json",
-          "{\"images\": [{\"id\": 1, \"file_name\": \"a.png\", " + c.size_keys("width", "height") +
-              "}], \"categories\": [{\"id\": 1, \"name\": \"wall\"}, {\"id\": 4, \"name\": \"chair\"}, {\"id\": 7, "
-              "\"name\": \"table\"}], \"annotations\": [{\"image_id\": 1, \"category_id\": 1, \"segmentation\": "
-              "[[0,0," +
-              r1 + ",0," + r1 + "," + all + ",0," + all +
-              "]]}, {\"image_id\": 1, \"category_id\": 4, \"segmentation\": [[0,0,1,0,1,1,0,1]]}, {\"image_id\": 1, "
-              "\"category_id\": 7, \"segmentation\": [[" +
-              r0 + ",0," + r1 + ",0," + r1 + ",1," + r0 + ",1]]}]}");
-      EXPECT_EQ(c.read("coco", "file: " + c.folder + "/coco.json"), c.wanted()) << told;
-
-      std::filesystem::create_directories(c.folder + "/labelme");
-      const auto box = [](const char* name, const std::string& corners) {
-        return std::string("{\"label\": \"") + name + "\", \"shape_type\": \"rectangle\", \"points\": [" + corners +
-               "]}";
-      };
-      write_file_atomic(c.folder + "/labelme/a.json",
-                        "{\"imagePath\": \"../images/a.png\", " + c.size_keys("imageWidth", "imageHeight") +
-                            ", \"shapes\": [" + box("wall", "[0,0],[" + r1 + "," + all + "]") + "," +
-                            box("chair", "[0,0],[1,1]") + "," + box("table", "[" + r0 + ",0],[" + r1 + ",1]") + "]}");
-      EXPECT_EQ(c.read("labelme", "folder: " + c.folder + "/labelme"), c.wanted()) << told;
-
-      std::filesystem::create_directories(c.folder + "/ids");
-      const std::vector<std::uint8_t> ids = c.shown_ids();
-      write_png_gray8(c.folder + "/ids/a.png", c.shown_w(), c.shown_h(), ids);
-      EXPECT_EQ(c.read("images", "folder: " + c.folder + "/ids"), c.wanted()) << told;
-
-      std::filesystem::create_directories(c.folder + "/soft");
-      write_file_atomic(c.folder + "/soft/classes.json", std::string_view(R"(["wall", "chair", "table"])"));
-      std::vector<float> soft;
-      for (const std::uint8_t id : ids)
-        for (const int of : {1, 4, 7}) soft.push_back(id == of ? 1.0F : 0.0F);
-      const std::vector<NpzEntry> entries{{"probability", {c.shown_h(), c.shown_w(), 3}, soft}};
-      write_npz(c.folder + "/soft/a.npz", entries);
-      EXPECT_EQ(c.read("npz", "folder: " + c.folder + "/soft"), c.wanted()) << told;
-
-      write_file_atomic(c.folder + "/clicks.csv",
-                        "x,y,frame,class,radius\n2,1,a,wall,99\n0,0,a,chair,\n" + r0 + ",0,a,table,\n");
-      EXPECT_EQ(c.read("clicks", "file: " + c.folder + "/clicks.csv"), c.wanted()) << told;
-
-      // The labelling page, and maps of `semfield render`, are of pixels as stored.
-      const std::string size = "\"size\":[" + std::to_string(w) + "," + std::to_string(h) + "]";
-      const auto click = [&](const char* id, const char* name, int x, int y, int radius) {
-        return std::string("{\"id\":\"") + id + "\",\"type\":\"click\",\"frame\":\"a\"," + size + ",\"points\":[[" +
-               std::to_string(x) + ".5," + std::to_string(y) + ".5]],\"radius\":" + std::to_string(radius) +
-               ",\"class\":\"" + name + "\"}\n";
-      };
-      const ShownCorners at = shown_corners(orientation, w, h);
-      write_file_atomic(c.folder + "/clicks.jsonl", click("1", "wall", 1, 1, 99) +
-                                                        click("2", "chair", at.left_x, at.left_y, 0) +
-                                                        click("3", "table", at.right_x, at.right_y, 0));
-      EXPECT_EQ(c.read("clicks", "file: " + c.folder + "/clicks.jsonl"), c.wanted()) << told;
-
-      std::filesystem::create_directories(c.folder + "/render");
-      std::vector<std::uint8_t> stored;
-      for (const std::string& row : c.wanted())
-        for (const char index : row) stored.push_back(index == '0' ? 1 : index == '1' ? 4 : 7);
-      write_png_gray8(c.folder + "/render/a_label.png", w, h, stored);
-      write_file_atomic(c.folder + "/render/cameras.json", std::string_view("{\"format\": \"semfield-cameras-1\"}"));
-      EXPECT_EQ(c.read("images", "{folder: " + c.folder + "/render, pattern: '{name}_label.png'}"), c.wanted()) << told;
-    }
-  }
-}
 
 // Loaded at half the size, in the quarter that is shown top left.
 TEST(TurnedPictures, AreScaledAsTheyAreStored) {
@@ -393,38 +316,35 @@ TEST(TurnedPictures, LabelImagesOfTheSceneAreReadAsShown) {
 
 // Speckles are given to what surrounds them, and nothing else changes; label files of real scenes.
 
-std::vector<std::int16_t> map_of(const std::vector<std::string>& rows) {
-  std::vector<std::int16_t> label;
-  for (const std::string& row : rows) {
-    for (const char c : row) label.push_back(c == '.' ? kVoid : static_cast<std::int16_t>(c - '0'));
-  }
-  return label;
-}
-
 TEST(SmallRegions, TakeTheClassAroundThem) {
-  std::vector<std::int16_t> label = map_of({
-      "1111122222",
-      "1311122.22",  // a speckle, and one of void
-      "1111152222",  // between two classes, equally near: the one that comes first
-      "1134112222",  // two speckles side by side
-      "1111122222",
-  });
+  std::vector<std::int16_t> label =
+      drawn("a",
+            {
+                "1111122222",
+                "1311122.22",  // a speckle, and one of void
+                "1111152222",  // between two classes, equally near: the one that comes first
+                "1134112222",  // two speckles side by side
+                "1111122222",
+            })
+          .label;
   const SmallRegions found = fill_small_regions(label, 10, 5, 3);
-  EXPECT_EQ(label, map_of({
-                       "1111122222",
-                       "1111122222",
-                       "1111122222",
-                       "1111112222",
-                       "1111122222",
-                   }));
+  EXPECT_EQ(label, drawn("a",
+                         {
+                             "1111122222",
+                             "1111122222",
+                             "1111122222",
+                             "1111112222",
+                             "1111122222",
+                         })
+                       .label);
   EXPECT_EQ(found.regions, 5);
   EXPECT_EQ(found.pixels, 5);
 }
 
 TEST(SmallRegions, ConnectionThroughCornersIsNone) {
-  std::vector<std::int16_t> label = map_of({"1000", "0100", "0010", "0000"});
+  std::vector<std::int16_t> label = drawn("a", {"1000", "0100", "0010", "0000"}).label;
   EXPECT_EQ(fill_small_regions(label, 4, 4, 3).pixels, 3) << "three regions of a pixel each";
-  EXPECT_EQ(label, map_of({"0000", "0000", "0000", "0000"}));
+  EXPECT_EQ(label, std::vector<std::int16_t>(16, 0));
 }
 
 // Blocks of four classes under single pixels of noise: every region from the area on keeps each of its pixels, and none

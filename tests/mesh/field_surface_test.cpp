@@ -463,18 +463,6 @@ std::vector<DepthView> all_around() {
   return views;
 }
 
-TEST(NearestSurface, DistancesToABoxAreExact) {
-  const Surface surface = box(0.5);
-  const NearestSurface nearest(surface.positions, surface.triangles);
-  EXPECT_DOUBLE_EQ(nearest.distance({0, 0, 0}, 10), 0.5) << "the middle";
-  EXPECT_DOUBLE_EQ(nearest.distance({0.1, 0.2, 0.8}, 10), 0.3) << "over a wall";
-  EXPECT_DOUBLE_EQ(nearest.distance({0.8, 0.1, 0.9}, 10), 0.5) << "beside an edge";
-  EXPECT_DOUBLE_EQ(nearest.distance({0.7, 0.9, 0.9}, 10), 0.6) << "off a corner";
-  EXPECT_DOUBLE_EQ(nearest.distance({0.5, 0.25, 0.25}, 10), 0) << "on a wall";
-  EXPECT_DOUBLE_EQ(nearest.distance({0, 0, 3}, 1), 1) << "no farther than asked";
-  EXPECT_DOUBLE_EQ(NearestSurface(std::vector<Vec3d>{}).distance({0, 0, 0}, 7), 7);
-}
-
 TEST(NearestSurface, FindsTheNearestOfManyPoints) {
   constexpr RandomAddress kPlace{1, 0, stream_id("test/nearest")};
   const auto random = [&](std::uint64_t i) { return static_cast<double>(uniform01(kPlace, i)); };
