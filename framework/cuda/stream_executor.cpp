@@ -669,6 +669,18 @@ class StreamExecutor::Points final : public PointNetwork<float> {
     owner_.store_->upload(true);
   }
 
+  void read() override {
+    const LaunchScope scope(owner_.begin_call());
+    owner_.store_->download(true);
+  }
+
+  void write() override {
+    const LaunchScope scope(owner_.begin_call());
+    owner_.store_->upload(true);
+    pass_.derive(context(false));
+    synchronize();
+  }
+
  private:
   // Points to learn from, and the tensors that learn, in device memory.
   struct Lesson {

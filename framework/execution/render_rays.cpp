@@ -227,6 +227,11 @@ void LanePoints<Real>::learn(const PointLessons<Real>& lessons) {
   pass().derive(context(step, true, arenas_.own()));
 }
 
+template <class Real>
+void LanePoints<Real>::write() {
+  pass().derive(context(0, true, arenas_.own()));
+}
+
 #define SEMFIELD_INSTANTIATE(Real)                                                                          \
   template struct RenderJob<Real>;                                                                          \
   template void render_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&,         \

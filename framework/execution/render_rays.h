@@ -124,6 +124,9 @@ class PointNetwork {
   /// Trains the semantic tensors, which begin as they lie in the store. Store and executor have them afterwards, with
   /// moments of zero. The pipeline must be trainable.
   virtual void learn(const PointLessons<Real>& lessons) = 0;
+  /// Brings the semantic tensors of the store up to date, or takes them over from it, with their moments.
+  virtual void read() = 0;
+  virtual void write() = 0;
 };
 
 /// On the CPU, from the pipeline's store. The same bits for any number of threads.
@@ -135,6 +138,8 @@ class LanePoints final : public PointNetwork<Real> {
   void rows(View<const double> positions, View<Real> rows) override;
   void logits(View<const Real> rows, View<Real> logits) override;
   void learn(const PointLessons<Real>& lessons) override;
+  void read() override {}
+  void write() override;
 
  private:
   void gradients(std::int64_t step, View<const Real> input, View<const std::int16_t> logit,

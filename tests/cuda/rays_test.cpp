@@ -774,6 +774,24 @@ TEST_F(CudaPoints, DeterministicLessonsHaveTheSameBits) {
   }
 }
 
+// What was kept is put back, for what comes next on the device as well.
+TEST_F(CudaPoints, AreReadAndWritten) {
+  const Session session = open_text(branch_config("") + "runtime: {device: cuda}\n", registry);
+  Lessons lessons(session, 20);
+  const std::vector<float> first = lessons.logits();
+  lessons.network.read();
+  std::vector<std::vector<float>> kept;
+  for (const Tensor<float>* t : semantic_tensors(session.pipeline->store()))
+    kept.emplace_back(t->value.data(), t->value.data() + t->value.size());
+  lessons.learn();
+  EXPECT_NE(lessons.logits(), first);
+  std::size_t next = 0;
+  for (const Tensor<float>* t : semantic_tensors(session.pipeline->store()))
+    std::copy(kept[next].begin(), kept[next].end(), t->value.data()), ++next;
+  lessons.network.write();
+  EXPECT_EQ(lessons.logits(), first);
+}
+
 TEST_F(CudaPoints, AFaultIsExplainedByTheCpu) {
   const Session session = open_text(branch_config("") + "runtime: {device: cuda}\n", registry);
   Lessons lessons(session, 3);
