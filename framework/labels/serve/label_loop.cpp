@@ -607,7 +607,7 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
   const std::vector<double> area = areas_of(clicks.size(), named);
   const KeptSemantics kept = keep_semantics(pipeline_);
   const auto before = std::tuple(live_, seeds_, learned_);
-  learn_from(named_points(clicks, left_out), options_.learning.steps);
+  learn_from(named_points(clicks, left_out), learning_.steps);
   std::vector<Vec3d> places;
   for (std::size_t i = 0; i < named.logit.size(); ++i) {
     const auto click = static_cast<std::size_t>(named.click[i]);
