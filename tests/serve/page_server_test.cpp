@@ -89,13 +89,17 @@ TEST_F(ServedPage, MarksAreSentWhenTheyAreNewAlone) {
   EXPECT_TRUE(Json::parse(get("state?after=4").body)["marks"].is_null());
 }
 
-TEST_F(ServedPage, NewsAreWaitedFor) {
+TEST_F(ServedPage, NewsAreWaitedForAndComeAtOnce) {
+  PageOptions o = options();
+  o.longest_poll_ms = 600'000;
+  start(o);
   std::future<Answer> waiting = std::async(std::launch::async, [&] { return get("state?after=5"); });
   EXPECT_EQ(waiting.wait_for(std::chrono::milliseconds(300)), std::future_status::timeout);
   source_.change([](LabelState& s) { s.phase = "changed"; });
-  const Answer answer = waiting.get();
+  const Answer answer = waiting.get();  // without it, none within the client's 30 s
   EXPECT_EQ(Json::parse(answer.body)["run"]["phase"], "changed");
   EXPECT_EQ(Json::parse(answer.body)["revision"], 6);
+  start();
   // Without news the old state comes when the wait is over; a number from an earlier server does not wait.
   EXPECT_EQ(Json::parse(get("state?after=6").body)["revision"], 6);
   EXPECT_TRUE(Json::parse(get("state?after=1000").body)["marks"].is_array());
@@ -589,26 +593,22 @@ TEST_F(ServedPage, ARequestWithTwoLengthsOrNoneThatIsANumberIsRefused) {
   EXPECT_EQ(source_.events().size(), 0u);
 }
 
-TEST_F(ServedPage, RequestsMayComeInPiecesAndSeveralAtOnce) {
+TEST_F(ServedPage, ARequestMayComeInPiecesAndWhatIsBehindItIsDropped) {
   Connection slow(port());
   for (const char byte : text("POST", "event", click("p-0"))) ASSERT_TRUE(slow.send(std::string(1, byte)));
   EXPECT_EQ(slow.receive().status, 200);
   Connection eager(port());
-  std::string many;
-  for (int i = 1; i <= 50; ++i) many += text("POST", "event", click("p-" + std::to_string(i)));
-  ASSERT_TRUE(eager.send(many + text("GET", "none") + text("GET", "", "", "Connection: close\r\n")));
-  for (int i = 1; i <= 50; ++i) ASSERT_EQ(eager.receive().status, 200) << i;
-  EXPECT_EQ(eager.receive().status, 404);
-  EXPECT_EQ(eager.receive().body, "<html></html>");
+  ASSERT_TRUE(eager.send(text("POST", "event", click("p-1")) + text("POST", "event", click("p-2"))));
+  EXPECT_EQ(eager.receive().status, 200);
   EXPECT_TRUE(eager.closes(5));
-  EXPECT_EQ(source_.events().size(), 51u);
+  EXPECT_EQ(source_.events().size(), 2u);
 }
 
 TEST_F(ServedPage, AHeadAloneHasNoBody) {
-  Connection c(port());
-  c.send(text("HEAD", "") + text("GET", ""));
+  Connection c(port()), other(port());
+  for (Connection* head : {&c, &other}) head->send(text("HEAD", ""));
   EXPECT_EQ(c.receive_head(5).status, 405);
-  EXPECT_EQ(c.receive(5).body, "<html></html>");
+  EXPECT_EQ(other.receive(5).status, 0) << "the body never comes";
 }
 
 TEST_F(ServedPage, LongHeadsAreCutOff) {
@@ -659,7 +659,7 @@ TEST_F(ServedPage, IdleAndHalfSentConnectionsHoldNobodyUp) {
     idle.emplace_back(port());
     if (i % 4 == 1) idle.back().send("GET /");
     if (i % 4 == 2) idle.back().send(text("POST", "event", click("a-1")).substr(0, 200));
-    if (i % 4 == 3) {  // kept after a response
+    if (i % 4 == 3) {  // open after its response
       idle.back().send(text("GET", ""));
       ASSERT_EQ(idle.back().receive(20).status, 200);
     }
@@ -671,7 +671,7 @@ TEST_F(ServedPage, IdleAndHalfSentConnectionsHoldNobodyUp) {
   }
 }
 
-TEST_F(ServedPage, WithTooManyConnectionsTheOneThatIsIdleTheLongestGoes) {
+TEST_F(ServedPage, WithTooManyConnectionsTheOneThatHasSaidNothingForTheLongestGoes) {
   PageOptions o = options();
   o.http.connections = 20;
   o.http.head_ms = 60'000;
