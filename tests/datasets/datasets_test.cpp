@@ -220,87 +220,10 @@ TEST(FixedScene, DepthOfACameraOfItsOwn) {
   EXPECT_NEAR(middle(several), 1.6f, 0.02f);
 }
 
-// inspect, pack and the choice of a preset: what a user reads, and that a packed scene is the scene.
+// The choice of a preset. That a packed scene is the scene: tests/bad_files/scenes.cases.
 
 NamedDataset replica_of(const std::string& folder) {
   return NamedDataset("replica", {{"root", folder}, {"train_step", "2"}, {"test_step", "2"}, {"test_offset", "1"}});
-}
-
-TEST(Pack, PackedSceneIsTheScene) {
-  const std::string folder = fresh_folder("room");
-  write_replica(folder, 6);
-  NamedDataset replica = replica_of(folder);
-  Diagnostics d;
-  SceneLoadOptions half{.downscale = 2};
-  const PackSummary summary = pack_scene(replica, folder + "/room.semfield", half, d);
-  EXPECT_EQ(summary.frames, 6);
-  EXPECT_EQ(summary.bytes, std::filesystem::file_size(folder + "/room.semfield"));
-  NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
-  SceneLoadOptions whole{.with_instances = half.with_instances = true};
-  const LoadedScene a = load_scene(replica, half, d), b = load_scene(packed, whole, d);
-  EXPECT_FALSE(d.has_errors());
-  ASSERT_EQ(b.frames.size(), 6u);
-  EXPECT_EQ(a.bounds.hi, b.bounds.hi);
-  EXPECT_EQ(a.far_m, b.far_m);
-  EXPECT_EQ(a.class_pixels, b.class_pixels);
-  for (std::size_t i = 0; i < 6; ++i) {
-    EXPECT_EQ(a.frames[i].rgb, b.frames[i].rgb);
-    EXPECT_EQ(a.frames[i].depth_m, b.frames[i].depth_m);
-    EXPECT_EQ(a.frames[i].label, b.frames[i].label);
-    EXPECT_EQ(a.frames[i].instance, b.frames[i].instance);
-    EXPECT_EQ(a.info.frames[i].split, b.info.frames[i].split);
-    EXPECT_EQ(a.info.frames[i].camera.fx, b.info.frames[i].camera.fx);
-  }
-}
-
-TEST(Pack, MasksAndWideLensesStayAndWhatAMaskHidesDoesNot) {
-  const std::string folder = fresh_folder("room");
-  write_png_rgb(folder + "/a.png", 4, 2, std::vector<std::uint8_t>(24, 9));
-  write_png_rgb(folder + "/b.png", 4, 2, std::vector<std::uint8_t>(24, 9));
-  write_png_gray8(folder + "/m.png", 4, 2, std::vector<std::uint8_t>{255, 255, 255, 0, 255, 255, 255, 255});
-  const std::string eye = "\"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}";
-  write_file_atomic(
-      folder + "/transforms.json",
-      "{\"camera_model\": \"OPENCV_FISHEYE\", \"fl_x\": 3, \"k4\": 0.01, \"frames\": [{\"file_path\": \"a.png\", "
-      "\"mask_path\": \"m.png\", " +
-          eye + ", {\"file_path\": \"b.png\", " + eye + "]}");
-  NamedDataset scene("transforms_json", {{"root", folder}});
-  Diagnostics d;
-  (void)pack_scene(scene, folder + "/room.semfield", {}, d);
-  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
-  NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
-  const SceneInfo info = packed.open(d);
-  EXPECT_EQ(info.frames[0].camera.lens, LensKind::fisheye);
-  EXPECT_EQ(info.frames[0].camera.k4, 0.01);
-  FrameBuffer out;
-  packed.read(0, out);
-  EXPECT_EQ(out.used, (std::vector<std::uint8_t>{1, 1, 1, 0, 1, 1, 1, 1}));
-  EXPECT_EQ(out.rgb[9], 0);
-  EXPECT_EQ(out.rgb[8], 9);
-  packed.read(1, out);
-  EXPECT_TRUE(out.used.empty());
-}
-
-TEST(Pack, WhatIsPackedIsMended) {
-  const std::string folder = fresh_folder("room");
-  write_replica(folder, 6);
-  NamedDataset replica = replica_of(folder);
-  Diagnostics d;
-  SceneLoadOptions options{.convention = {true, true, 0.5, 2}};
-  (void)pack_scene(replica, folder + "/room.semfield", options, d);
-  NamedDataset packed("packed", {{"file", "room.semfield"}}, DatasetBuild{folder});
-  options.check_geometry = false;
-  const LoadedScene a = load_scene(replica, options, d);
-  SceneLoadOptions plain{.check_geometry = false};
-  const LoadedScene b = load_scene(packed, plain, d);
-  EXPECT_FALSE(d.has_errors());
-  for (std::size_t i = 0; i < 6; ++i) {
-    EXPECT_EQ(a.info.frames[i].world_from_camera.r, b.info.frames[i].world_from_camera.r);
-    EXPECT_EQ(a.info.frames[i].world_from_camera.t, b.info.frames[i].world_from_camera.t);
-    EXPECT_EQ(a.frames[i].depth_m, b.frames[i].depth_m);
-  }
-  EXPECT_EQ(a.bounds.lo, b.bounds.lo);
-  EXPECT_EQ(a.far_m, b.far_m);
 }
 
 TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
