@@ -633,6 +633,8 @@ class ToolsTest(MockPageCase):
         self.click(page, *self.pixel_of(0, 4), saved=1)
         place = self.room.place(0, self.room.events[0]["points"][0])
         page.run("document.querySelector('#strip [data-view=\"2\"]').click()")
+        there = self.pixel_of(2, 4)
+        self.wait_pixel(page, *there, self.mixed(2, *there, [200, 60, 60]), "the other view is not shown")
         x, y = self.page_of(page, *self.room.pixel_of(2, place))
         around = ((1, 0), (-1, 0), (0, 1), (0, -1))
         for _ in range(60):  # a light ring
