@@ -64,9 +64,8 @@ class PageCase(unittest.TestCase):
         page.wait("document.getElementById('saving').textContent == 'every click is saved'", "not saved")
 
 
-def main(own=()):
-    """Runs the tests of the program; `own`: the first words of the command line, which are not for unittest."""
+def main():
     if not browser.programs():
         print("skipped: the page was tried in no browser; install Debian's chromium and chromium-driver")
         sys.exit(77)
-    unittest.main(argv=[sys.argv[0], *sys.argv[1 + len(own):]], verbosity=2)
+    unittest.main(verbosity=2)

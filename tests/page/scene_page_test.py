@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The page of a run, as a file beside the PLY file of the same mesh and from `semfield view`, in headless Chromium: scene_page_test.py PROGRAM CONFIG"""
+"""The page of a run, as a file beside the PLY file of the same mesh and from `semfield view`, in headless Chromium."""
 
 import base64
 import itertools
@@ -17,10 +17,11 @@ import zlib
 import browser
 import live_view
 
-sys.path.insert(1, str(pathlib.Path(__file__).resolve().parents[1] / "handover"))
+sys.path[1:1] = [str(pathlib.Path(__file__).resolve().parents[1] / folder) for folder in (".", "handover")]
 import ply  # noqa: E402
+from program import PROGRAM, SOURCE  # noqa: E402
 
-PROGRAM, CONFIG = sys.argv[1:3]
+CONFIG = str(SOURCE / "configs/quickstart.yaml")
 SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}
 NO_CLASS = 65535
 

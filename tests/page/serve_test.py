@@ -1,84 +1,52 @@
 #!/usr/bin/env python3
-"""The page in headless Chromium against `semfield serve` on the shipped room: serve_test.py PROGRAM CONFIG"""
+"""The page in headless Chromium against `semfield serve` on the shipped room."""
 
 import io
 import json
 import pathlib
-import shutil
 import signal
 import socket
-import subprocess
 import sys
-import tempfile
-import urllib.request
 import zipfile
 
 import page_case
 
-sys.path.insert(1, str(pathlib.Path(__file__).resolve().parent.parent))
-from program import png_bytes  # noqa: E402
+sys.path[1:1] = [str(pathlib.Path(__file__).resolve().parents[1] / folder) for folder in (".", "serve")]
+from program import SOURCE, ProgramCase, png_bytes  # noqa: E402
+from serve_verb_test import Served  # noqa: E402
 
-PROGRAM, CONFIG = sys.argv[1:3] if len(sys.argv) > 2 else ("", "")
+CONFIG = SOURCE / "configs/quickstart.yaml"
 SIZE = (96, 72)
 SETTINGS = {"scene.frames": 8, "scene.test_frames": 2, "scene.labels.frames": "none", "scene.load.width_px": SIZE[0], "runtime.threads": 2}
 
 
-class Serve:
-    """The program at work; a new start on the same folder and port goes on."""
-
-    def __init__(self):
-        self.folder = pathlib.Path(tempfile.mkdtemp(prefix="semfield_serve_"))
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
-        self.process = None
-
-    def start(self, by_run=False):
-        run = str(self.folder / "run")
-        words = [PROGRAM, "serve", *([run] if by_run else [CONFIG, "--out", run]), "--port", str(self.port)]
-        for key, value in ({} if by_run else SETTINGS).items():
-            words += ["--set", f"{key}={value}"]
-        with open(self.folder / "stderr.txt", "w") as errors:
-            self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=errors, text=True)
-        line = self.process.stdout.readline()
-        if "http://" not in line:
-            raise AssertionError(f"{line}{(self.folder / 'stderr.txt').read_text()}")
-        self.url = line[line.index("http://"):].split()[0]
-        return self.url
-
-    def kill(self):
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait()
-        self.process.stdout.close()
-
-    def state(self):
-        with urllib.request.urlopen(f"{self.url}state?after=0", timeout=30) as answer:
-            return json.load(answer)
-
-    def events(self):
-        return [json.loads(line) for line in (self.folder / "run/clicks.jsonl").read_text().splitlines()]
-
-    def close(self):
-        if self.process.poll() is None:
-            self.kill()
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-
-class ServeTest(page_case.PageCase):
+class ServeTest(page_case.PageCase, ProgramCase):
     SIZE = SIZE
 
     def setUp(self):
-        self.serve = Serve()
-        self.url = self.serve.start()
-        self.addCleanup(self.serve.close)
+        super().setUp()
+        self.run_dir = self.dir / "run"
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.url = self.serve()
+
+    def serve(self, by_run=False):
+        """The address of the program at work; a new start on the same folder and port goes on."""
+        words = [self.run_dir] if by_run else [CONFIG, "--out", self.run_dir, *(f"--set={key}={value}" for key, value in SETTINGS.items())]
+        self.served = Served(self, *words, "--port", self.port)
+        return f"http://127.0.0.1:{self.served.port}{self.served.folder}"
+
+    def events(self):
+        return [json.loads(line) for line in (self.run_dir / "clicks.jsonl").read_text().splitlines()]
 
     def clicks(self):
-        return sum(e["type"] == "click" for e in self.serve.events())
+        return sum(e["type"] == "click" for e in self.events())
 
     def wait_learned(self, page):
         """Until the labels know every event."""
         for _ in range(600):
-            state = self.serve.state()
+            state = self.served.state()
             if state["overlay"]["events"] == state["events"]:
                 return
             page.run("return new Promise((resolve) => setTimeout(resolve, 100))")
@@ -100,7 +68,7 @@ class ServeTest(page_case.PageCase):
         self.fail(f"{why}: {seen} over {under}, not of {color}")
 
     def colors(self):
-        return {row["name"]: row["color"] for row in self.serve.state()["classes"]}
+        return {row["name"]: row["color"] for row in self.served.state()["classes"]}
 
     def test_what_a_person_does(self):
         page = self.open()
@@ -121,20 +89,20 @@ class ServeTest(page_case.PageCase):
         self.wait_mixed(page, 77.5, 20.5, colors[list(colors)[0]], "the correction is not in the overlay")
         page.keys("z")
         page.wait("document.getElementById('messages').textContent.includes('Undone')")
-        page.wait_for(lambda: len(self.serve.state()["marks"]), 2, "no undo arrives")
+        page.wait_for(lambda: len(self.served.state()["marks"]), 2, "no undo arrives")
         self.wait_learned(page)
         self.wait_mixed(page, 77.5, 20.5, colors[second], "undo does not bring the label back")
 
         page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed')", "nothing is proposed", 240)
-        proposal = self.serve.state()["proposal"]
+        proposal = self.served.state()["proposal"]
         here = page.run("return Number(document.querySelector('#strip [aria-current=true]').dataset.view)")
         page.keys("space")
         page.wait(f"document.querySelector('#strip [aria-current=true]').dataset.view == {proposal['view']}", "space does not go to the proposal")
         if here != proposal["view"]:
             page.keys("space")
         self.wait_saved(page, 4)
-        event = self.serve.events()[-1]
-        self.assertEqual((event["frame"], event["class"]), (self.serve.state()["views"][proposal["view"]]["frame"], list(colors)[0]))
+        event = self.events()[-1]
+        self.assertEqual((event["frame"], event["class"]), (self.served.state()["views"][proposal["view"]]["frame"], list(colors)[0]))
 
         other = self.open()  # another tab of the person, or another person
         other.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '1'")
@@ -155,7 +123,7 @@ class ServeTest(page_case.PageCase):
         self.wait_learned(page)
         size = page.run("return fetch('./photo?view=0').then((a) => a.blob()).then(createImageBitmap).then((b) => b.width)")
         self.assertGreater(size, SIZE[0], "the photograph is as small as what trains")
-        held_out = [view["frame"] for view in self.serve.state()["views"] if view["held_out"]]
+        held_out = [view["frame"] for view in self.served.state()["views"] if view["held_out"]]
         self.assertEqual(len(held_out), 2)
         page.keys("end")
         self.click(page, 20.5, 20.5)
@@ -165,11 +133,11 @@ class ServeTest(page_case.PageCase):
         page.wait("document.querySelector('#export-list a')", "no export", 120)
         data = page.run("return fetch(document.querySelector('#export-list a').href).then((a) => a.arrayBuffer()).then((b) => [...new Uint8Array(b)])")
         with zipfile.ZipFile(io.BytesIO(bytes(data))) as labels:
-            pixels = png_bytes(zipfile.Path(labels, f"{self.serve.state()['views'][0]['frame']}_label.png"))
+            pixels = png_bytes(zipfile.Path(labels, f"{self.served.state()['views'][0]['frame']}_label.png"))
         inside, outside = {pixels[SIZE[0] * j + i] for j in range(6, 28) for i in range(6, 28)}, pixels[40 * SIZE[0]:]
         self.assertEqual(len(inside), 1, "a region that is ignored has labels")
-        self.assertNotIn(inside.pop(), {row["id"] for row in self.serve.state()["classes"]})
-        self.assertGreater(sum(v in {row["id"] for row in self.serve.state()["classes"]} for v in outside), len(outside) / 2)
+        self.assertNotIn(inside.pop(), {row["id"] for row in self.served.state()["classes"]})
+        self.assertGreater(sum(v in {row["id"] for row in self.served.state()["classes"]} for v in outside), len(outside) / 2)
         self.assertEqual(page.complaints() + other.complaints(), [])
 
     def test_kills_lose_nothing(self):
@@ -181,16 +149,15 @@ class ServeTest(page_case.PageCase):
             self.click(page, 20.5 + 10 * round_, 30.5)
             clicks += 1
             self.wait_saved(page, clicks)
-            self.serve.kill()
+            self.served.ended_by(signal.SIGKILL)
             self.click(page, 20.5 + 10 * round_, 60.5)  # nobody responds
             page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
             page.wait("document.getElementById('connection').textContent.startsWith('Connection lost')")
-            old = self.serve.url
-            self.assertEqual(self.serve.start(by_run=round_ % 2 == 0), old)
+            self.assertEqual(self.serve(by_run=round_ % 2 == 0), self.url)
             page.wait("document.getElementById('connection').textContent == 'connected'", "the page does not go on by itself")
             clicks += 1
             self.wait_saved(page, clicks)
-            state = self.serve.state()
+            state = self.served.state()
             self.assertEqual(len(state["marks"]), clicks)
             self.assertEqual(state["classes"][-1]["name"], "kept")
             page.wait(f"[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '{clicks}'")
@@ -199,11 +166,9 @@ class ServeTest(page_case.PageCase):
             page.run("document.querySelector('#classes button:last-child').click()")
         self.wait_learned(page)
         self.wait_mixed(page, 22.5, 60.5, self.colors()["kept"], "the click that was sent again is not in the overlay")
-        ids = [event["id"] for event in self.serve.events()]
+        ids = [event["id"] for event in self.events()]
         self.assertEqual(len(ids), len(set(ids)))
 
 
 if __name__ == "__main__":
-    if not PROGRAM:
-        sys.exit(__doc__)
-    page_case.main((PROGRAM, CONFIG))
+    page_case.main()
