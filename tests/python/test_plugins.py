@@ -5,10 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import struct
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 from typing import Any, Dict, List, Type
 
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import NETWORK, WALLS, box_arrays, config_of, same, tensors_of, trained
+from conftest import NETWORK, WALLS, box_arrays, config_of, png, same, tensors_of, trained
 
 
 def with_position(scene: sf.Scene, **position: Any) -> Dict[str, Any]:
@@ -568,25 +566,13 @@ def test_feature_maps_are_learned_and_rendered(scene: sf.Scene, plain_head: None
         run.render(frame=frame.name, channels=["wrods"])
 
 
-def write_png(path: Path, pixels: np.ndarray) -> None:
-    """8-bit gray [H, W] or RGB [H, W, 3]."""
-    height, width = pixels.shape[:2]
-    rows = b"".join(b"\0" + row.tobytes() for row in pixels.astype(np.uint8))
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
-
-
 def word_files(folder: Path) -> Path:
     """The box as a transforms.json with a map of words per training frame; returns a configuration that learns them."""
     box = box_arrays(count=12)
     frames: List[Dict[str, Any]] = []
     for i, (rgb, walls, pose) in enumerate(zip(box["images"], box["labels"], box["poses"])):
-        write_png(folder / f"{i}.png", rgb)
-        write_png(folder / f"{i}_label.png", walls)
+        png(folder / f"{i}.png", 32, 24, 2, 8, [row.tobytes() for row in rgb])
+        png(folder / f"{i}_label.png", 32, 24, 0, 8, [bytes(row.tolist()) for row in walls])
         np.save(folder / f"{i}_words.npy", WORDS[walls[::4, ::4]].astype(np.float16))
         frames.append({"file_path": f"{i}.png", "label_path": f"{i}_label.png", "words_path": f"{i}_words.npy",
                        "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()})
