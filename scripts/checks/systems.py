@@ -139,7 +139,7 @@ INSTALLED = [
     ("the tools of the tests cannot be installed",
      f"{NO_QUESTIONS} ./in/*.deb python3-pytest python3-nbconvert python3-ipykernel mypy"),
     ("tests of the Python module fail",
-     "mkdir checkout && (cd semfield && cp -r --parents -t ../checkout tests/python examples scenes configs docs "
+     "mkdir checkout && (cd semfield && cp -r --parents -t ../checkout tests/python tests/program.py examples scenes configs docs "
      "python/docs) && rm -r semfield && cd checkout && SEMFIELD_TEST_INSTALLED=1 SEMFIELD_PROGRAM=/usr/bin/semfield "
      "PYTHONDONTWRITEBYTECODE=1 env --default-signal=INT python3 -m pytest -rs -p no:cacheprovider tests/python"),
 ]
