@@ -267,7 +267,8 @@ class PythonHead final : public Head<Real> {
       throw Error(ErrorKind::unavailable, "plugin.kernels.missing",
                   owner_ + " is written in Python and has no " + std::string(device_name(build.device)) + " kernels");
     called(owner_, [&] {
-      const py::object made = type->attr("_made")(params.values(), build.feature_dims, build.width);
+      const py::object made =
+          type->attr("_made")(params.values(), "feature_dims"_a = build.feature_dims, "width"_a = build.width);
       hidden_ = made.attr("hidden_width").template cast<std::int32_t>();
       part_ = PythonPart<Real>(owner_, made);
     });
@@ -473,7 +474,7 @@ class PythonEncoder final : public Encoder<Real> {
       const py::dict facts("in_dims"_a = build.in_dims, "is_direction"_a = build.is_direction,
                            "extent_m"_a = build.extent_m, "pixel_footprint_m"_a = build.pixel_footprint_m,
                            "largest_coordinate"_a = build.largest_coordinate);
-      const py::object made = type->attr("_made")(params.values(), facts);
+      const py::object made = type->attr("_made")(params.values(), "in_dims"_a = build.in_dims, "build"_a = facts);
       traits_.in_dims = build.in_dims;
       traits_.out_dims = made.attr("out_dims").template cast<std::int32_t>();
       traits_.domain = domain_of(made.attr("domain").template cast<std::string>(), owner_);
@@ -508,7 +509,7 @@ class PythonDataset final : public Dataset {
  public:
   PythonDataset(const std::string& name, const Held& type, const PythonParams& params, const DatasetBuild& build)
       : owner_("dataset '" + name + "'") {
-    called(owner_, [&] { instance_ = hold(type->attr("_made")(params.values(), build.config_dir)); });
+    called(owner_, [&] { instance_ = hold(type->attr("_made")(params.values(), "config_dir"_a = build.config_dir)); });
   }
   SceneInfo open(Diagnostics& diagnostics) override {
     info_ = called(owner_ + ".open", [&] { return scene_info_of(instance_->attr("_opened")(), diagnostics); });

@@ -57,10 +57,14 @@ class _Plugin:
         return [{"name": name, **dataclasses.asdict(p)} for name, p in found.items()]
 
     @classmethod
-    def _with(cls, values: Mapping[str, Any]) -> Any:
+    def _made(cls, values: Mapping[str, Any], **facts: Any) -> Any:
+        """An instance with these parameters and facts of the run, set up."""
         made = cls.__new__(cls)
-        for name, value in values.items():
+        for name, value in {**values, **facts}.items():
             setattr(made, name, value)
+        if isinstance(made, (Encoder, Head)):
+            made.tensors = {}
+            made.setup()
         return made
 
 
@@ -132,16 +136,9 @@ class Encoder(_Plugin):
         if unknown:
             raise UsageError(f"{cls.__name__}: no parameter is named {unknown[0]!r}; there are {', '.join(known) or 'none'}",
                              code="plugin.python.parameter")
-        return cls._made({**known, **values}, {"in_dims": in_dims, "is_direction": cls.domain == "direction", "extent_m": 1.0,
-                                               "pixel_footprint_m": 0.0, "largest_coordinate": 1.0})
-
-    @classmethod
-    def _made(cls, values: Mapping[str, Any], build: Mapping[str, Any]) -> "Encoder":
-        made: Encoder = cls._with(values)
-        made.build = dict(build)
-        made.in_dims = int(build["in_dims"])
-        made.tensors = {}
-        made.setup()
+        build = {"in_dims": in_dims, "is_direction": cls.domain == "direction", "extent_m": 1.0, "pixel_footprint_m": 0.0,
+                 "largest_coordinate": 1.0}
+        made: Encoder = cls._made({**known, **values}, in_dims=in_dims, build=build)
         return made
 
 
@@ -191,13 +188,6 @@ class Head(_Plugin):
     ) -> Tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
         """dL/dh [N, H] and dL/d(opacity) [N, 1] from dL/d(rows) [N, C]; adds dL/d(tensor) to `grads` in place."""
         raise NotImplementedError("output_backward")
-
-    @classmethod
-    def _made(cls, values: Mapping[str, Any], feature_dims: int, width: int) -> "Head":
-        made: Head = cls._with(values)
-        made.feature_dims, made.width, made.tensors = feature_dims, width, {}
-        made.setup()
-        return made
 
 
 class Loss(_Plugin):
@@ -250,11 +240,6 @@ class Loss(_Plugin):
         """
         raise NotImplementedError("value")
 
-    @classmethod
-    def _made(cls, values: Mapping[str, Any]) -> "Loss":
-        made: Loss = cls._with(values)
-        return made
-
 
 class Dataset(_Plugin):
     """A scene of files of another kind.
@@ -286,12 +271,6 @@ class Dataset(_Plugin):
     def pixels(self, index: int) -> Frame:
         """Frame `index` of `frames` with rgb [H, W, 3] uint8, and labels [H, W] ids and depth_m [H, W] where it has them."""
         raise NotImplementedError("pixels")
-
-    @classmethod
-    def _made(cls, values: Mapping[str, Any], config_dir: str) -> "Dataset":
-        made: Dataset = cls._with(values)
-        made.config_dir = config_dir
-        return made
 
     def _opened(self) -> Dict[str, Any]:
         return _description(type(self).__name__, self.frames(), self.classes(), self.bounds, self.near, self.far, self.metric)
