@@ -30,7 +30,7 @@ namespace {
 constexpr double kSteps = 65535;
 constexpr std::uint16_t kNoClass = 65535;
 
-Box box_of(const Surface& surface, const ScenePage& page) {
+Box box_around(const Surface& surface, const ScenePage& page) {
   if (surface.positions.empty()) return page.bounds;
   Box box;
   for (const Vec3d& p : surface.positions) box.include(p);
@@ -234,7 +234,7 @@ std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSe
 }
 
 std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page) {
-  const Box box = box_of(surface, page);
+  const Box box = box_around(surface, page);
   return one_file(page.title, facts_of(surface, classes, page, box), base64(deflated(packed(surface, page, box))));
 }
 
@@ -247,7 +247,7 @@ void write_scene_page(const std::string& path, const Surface& surface, const Cla
 
 std::pair<std::string, std::string> scene_parts(const Surface& surface, const ClassTable& classes,
                                                 const ScenePage& page, const Json& more) {
-  const Box box = box_of(surface, page);
+  const Box box = box_around(surface, page);
   Json facts = facts_of(surface, classes, page, box);
   facts.update(more);
   const std::vector<std::uint8_t> mesh = deflated(packed(surface, page, box));
