@@ -147,9 +147,15 @@ void ask_laws(const CheckOptions& options, bool silent, int memory) {
       reinterpret_cast<LawSuite>(part_symbol("semfield_laws", kLawSuiteSymbol, "the laws cannot be loaded"));
   Registry registry;
   LawRequest request;
-  request.on_begin = [&](const LawRow& row) {
+  // The row that is open is told of again: with its build, and when it has ended.
+  const auto keep = [&](const LawRow& row, bool open) {
+    if (asked.value("open", false)) asked["rows"].erase(asked["rows"].size() - 1);
     asked["rows"].push_back(json_of(row));
-    asked.update({{"open", true}, {"law", ""}});
+    asked["open"] = open;
+    asked["law"] = "";
+  };
+  request.on_begin = [&](const LawRow& row) {
+    keep(row, true);
     leave(memory, asked);
   };
   request.on_law = [&](const std::string& law) {
@@ -157,9 +163,7 @@ void ask_laws(const CheckOptions& options, bool silent, int memory) {
     leave(memory, asked);
   };
   request.on_row = [&](const LawRow& row) {
-    if (asked.value("open", false)) asked["rows"].erase(asked["rows"].size() - 1);
-    asked["rows"].push_back(json_of(row));
-    asked["open"] = false;
+    keep(row, false);
     if (!silent) print_row(asked["rows"].back());
     leave(memory, asked);
   };

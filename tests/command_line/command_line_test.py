@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The command line's words, the schema of configurations, what verbs print as JSON, completions in their shells, the
+"""The command line's words, what verbs print as JSON, completions in their shells, the
 manual page, settings' names."""
 
 import json
@@ -130,71 +130,6 @@ class Words(WordsCase):
         self.assertGreaterEqual(options, 14)
 
 
-# Of draft 7, what the schema is written in.
-KINDS = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float),
-         "null": type(None)}
-
-
-def fits(value, rule):
-    """Whether a value is valid; KeyError for a word that is not known here."""
-    def kind(name):
-        return isinstance(value, KINDS[name]) and (name not in ("integer", "number") or not isinstance(value, bool))
-    is_map, number = isinstance(value, dict), isinstance(value, (int, float)) and not isinstance(value, bool)
-    words = {"type": lambda a: any(map(kind, [a] if isinstance(a, str) else a)),
-             "minimum": lambda a: not number or value >= a, "maximum": lambda a: not number or value <= a,
-             "enum": lambda a: value in a, "const": lambda a: value == a,
-             "items": lambda a: not isinstance(value, list) or all(fits(one, a) for one in value),
-             "properties": lambda a: not is_map or all(fits(value[key], a[key]) for key in a if key in value),
-             "additionalProperties": lambda a: a is not False or not is_map or set(value) <= set(rule["properties"]),
-             "required": lambda a: not is_map or set(a) <= set(value),
-             "oneOf": lambda a: sum(fits(value, one) for one in a) == 1}
-    words.update(dict.fromkeys(("$schema", "title", "description", "default"), lambda a: True))
-    return all(words[word](what) for word, what in rule.items())
-
-
-class Schema(ProgramCase):
-    """The JSON schema of configurations takes what the readers take."""
-
-    GRID = {"type": "hash_grid", "levels": 4}
-    PASS = {"sampler": {"type": "stratified"}, "position": GRID, "field": {"type": "tiny_mlp"}}
-    WHOLE = {"scene": {"type": "replica", "root": "x"}, "semantics": {}, "passes": [PASS]}
-    # Sections instead of those above: that both take, and that both refuse.
-    TAKEN = ({}, {"train": {"steps": 7, "rays": 64}}, {"train": None}, {"name": 10}, {"overrides": {"train.steps": 3}},
-             {"scene": {"type": "replica", "root": "x", "labels": {"frames": "10%"}}}, {"plugins": []},
-             {"rendering": {"background": [0, 1, 0.5]}}, {"runtime": {"deterministic": True}},
-             {"passes": [{**PASS, "semantic": {"position": GRID, "field": {"type": "tiny_mlp"}}}]},
-             {"passes": [{**PASS, "semantic": [{"position": GRID, "field": {"type": "tiny_mlp"}}]}]},
-             {"losses": [{"type": "depth", "weight": 0.5}]}, {"include": "part.yaml"}, {"include": ["part.yaml"]})
-    REFUSED = ({"trian": {}}, {"include": 3}, {"passes": {}}, {"scene": {"type": "replika"}}, {"scene": {"nothing": 1}},
-               {"scene": {"type": "replica", "root": "x", "levels": 2}}, {"train": {"stepps": 3}},
-               {"scene": {"type": "replica", "root": "x", "labels": {"x": 1}}}, {"train": {"steps": 1.5}},
-               {"train": {"steps": -1}}, {"train": {"rays": 1048577}}, {"runtime": {"deterministic": "no"}},
-               {"plugins": "a"}, {"rendering": {"background": [0, 0, 2]}}, {"rendering": {"background": 0.5}},
-               {"rendering": {"far": "opn"}}, {"passes": [{**PASS, "positon": GRID}]},
-               {"passes": [{**PASS, "position": {"type": "hash_grid", "n": 4}}]},
-               {"passes": [{**PASS, "semantic": {"position": {"type": "hash_grid", "n": 4}}}]},
-               {"passes": [{**PASS, "semantic": [{"positon": {}}]}]}, {"losses": {"type": "depth"}})
-
-    def test_it_takes_and_refuses_what_the_readers_do(self):
-        schema = json.loads(self.ok("config schema").out)
-        self.write("part.yaml", "train: {steps: 5}\n")
-        for code, table in ((0, self.TAKEN), (78, self.REFUSED)):
-            for sections in table:
-                with self.subTest(sections):
-                    config = {**self.WHOLE, **sections}
-                    self.assertEqual(fits(config, schema), code == 0)
-                    self.write("room.yaml", json.dumps(config))  # YAML, too
-                    self.ended("config check room.yaml", code)
-        self.assertFalse(fits([], schema))
-
-    def test_it_has_sentences_and_defaults(self):
-        train = json.loads(self.ok("config schema").out)["properties"]["train"]["properties"]
-        self.assertEqual([key for key, rule in train.items() if "properties" not in rule and not rule["description"]], [])
-        self.assertEqual((train["steps"]["default"], type(train["steps"]["default"])), (20000, int))
-        self.assertEqual((train["time_s"]["default"], train["time_s"]["minimum"]), (0, 0))
-        self.assertIn(train["ray_source"]["default"], train["ray_source"]["enum"])
-
-
 # Everything that takes --json, in an order in which a run is there when it is needed: words behind the verb, and keys
 # besides `semfield` and `verb`.
 CASES = {
@@ -256,7 +191,7 @@ class JsonOutput(WordsCase):
                         if operand in help.partition("Usage:")[2]]
             self.refused(f"{verb}{''.join(operands)} --json", "usage.json.none", verb)
             refusals += 1
-        self.assertGreaterEqual(refusals, 2)
+        self.assertGreaterEqual(refusals, 1)
 
     def test_what_was_packed_is_told(self):
         written = json.loads(self.ok("pack config.yaml --format replica --out captured --json -q").out)

@@ -33,10 +33,12 @@ std::string errors_of(const std::string& yaml) {
 
 // What a preset leaves to the device; numbers that are written stay.
 TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
-  const auto chosen = [&](const std::string& levels, Device device, const std::string& ends = "") {
+  const auto chosen = [&](const std::string& levels, Device device, const std::string& ends = "",
+                          const std::string& far = "background") {
     const std::string yaml =
         "scene: {type: analytic_room}\npasses:\n  - sampler: {type: occupancy_grid, max_samples: 0" + ends +
-        "}\n    position: {type: hash_grid, levels: " + levels + "}\n    field: {type: tiny_mlp}\ntrain: {rays: 0}\n";
+        "}\n    position: {type: hash_grid, levels: " + levels +
+        "}\n    field: {type: tiny_mlp}\ntrain: {rays: 0}\nrendering: {far: " + far + "}\n";
     RunConfig config = run_config_of(parse_config_text(yaml, "room.yaml"), all_plugins());
     const std::size_t lines = choose_for_device(config, device).size();
     const std::string resolved = write_config(resolved_config(config));
@@ -45,6 +47,7 @@ TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
   EXPECT_HAS(chosen("0", Device::cpu), "1024 3\n", "levels: 8", "max_samples: 128");
   EXPECT_HAS(chosen("0", Device::cuda), "8192 3\n", "levels: 16", "max_samples: 256");
   EXPECT_HAS(chosen("5", Device::cuda), "8192 2\n", "levels: 5");
+  EXPECT_HAS(chosen("0", Device::cuda, "", "open"), "32768 3\n");
   EXPECT_HAS(chosen("0", Device::cpu, ", keep_last: true"), "max_samples: 48");
   EXPECT_HAS(chosen("0", Device::cuda, ", keep_last: true"), "max_samples: 128");
   EXPECT_HAS(chosen("0", Device::cuda, ", keep_last: true, growth: 0.01"), "max_samples: 512");

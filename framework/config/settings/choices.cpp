@@ -46,7 +46,8 @@ CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& eviden
 
 namespace {
 
-constexpr std::int64_t kRaysOnCpu = 1024, kRaysOnGpu = 8192;  // docs/decisions.md, 0036
+// docs/decisions.md, 0036; most rays of an object's photographs meet nothing
+constexpr std::int64_t kRaysOnCpu = 1024, kRaysOnGpu = 8192, kOpenRaysOnGpu = 32768;
 
 // "field 'ball'".
 std::string owner_of(const PluginSlot& slot) {
@@ -199,7 +200,9 @@ Precision precision_of(const RunConfig& config, const Registry& registry, Device
 std::vector<std::string> choose_for_device(RunConfig& config, Device device) {
   std::vector<std::string> lines;
   if (config.train.rays == 0) {
-    config.train.rays = device == Device::cpu ? kRaysOnCpu : kRaysOnGpu;
+    config.train.rays = device == Device::cpu                   ? kRaysOnCpu
+                        : config.rendering.far == FarMode::open ? kOpenRaysOnGpu
+                                                                : kRaysOnGpu;
     lines.push_back("train.rays: rays was set to " + std::to_string(config.train.rays) + ", which suits a " +
                     (device == Device::cpu ? "CPU" : "GPU"));
   }

@@ -33,7 +33,8 @@ inline void describe(ParamVisitor& visit, TrainParams& p) {
       {0, 1e9});
   SEMFIELD_PARAM(visit, p, time_s,
                  "seconds of training that steps and schedule are settled for where steps is 0; 0: none", {0, 1e8});
-  SEMFIELD_PARAM(visit, p, rays, "rays per step; 0: 1024 on a CPU and 8192 on a GPU, and run.yaml has the number",
+  SEMFIELD_PARAM(visit, p, rays,
+                 "rays per step; 0: 1024 on a CPU, on a GPU 8192 or, where far is open, 32768; run.yaml has the number",
                  {0, 1 << 20});
   SEMFIELD_PARAM(
       visit, p, ray_source,
