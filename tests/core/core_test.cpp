@@ -188,6 +188,19 @@ TEST(Spelling, PartsInCommonCountOnlyWhereAsked) {
 
 constexpr std::size_t kMega = std::size_t{1} << 20;
 
+TEST(Workspace, MergesItsBlocksWhenNothingIsInUse) {
+  Workspace arena;
+  for (int step = 0; step < 3; ++step) {
+    const Workspace::Scope scope(arena);
+    const std::int64_t growths = arena.growth_count();
+    for (int i = 0; i < 8; ++i) std::fill_n(arena.take_bytes(kMega), kMega, std::byte{1});
+    if (step > 0) {
+      EXPECT_EQ(arena.growth_count(), growths);
+    }
+  }
+  EXPECT_GE(arena.reserved_bytes(), arena.high_water_bytes());
+}
+
 // A device whose memory is counted and may run out.
 std::size_t g_left = 0;
 std::int64_t g_blocks = 0;

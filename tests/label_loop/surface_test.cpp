@@ -821,6 +821,21 @@ struct Known {
   }
 };
 
+TEST(Proposals, TheSameSeedAndRoundAskTheSameForAnyThreads) {
+  Known known;
+  known.click(0, 3);
+  for (std::size_t i = 0; i < known.pool.points.size(); ++i) {  // two that are alike but at point 20
+    const float sure = i == 20 ? 0.5F : 0.97F;
+    known.probability.insert(known.probability.end(), {sure, 1 - sure, 0.0F});
+  }
+  for (std::uint64_t round = 0; round < 6; ++round) {
+    const auto made = [&] { return *choose_click(known.input(9, round)); };
+    const Asked one = on_threads(1, made), three = on_threads(3, made);
+    EXPECT_EQ(one.point, three.point);
+    EXPECT_EQ(one.gain, three.gain);
+  }
+}
+
 // One class is named at one place: what is far from it by way of the surface is proposed, however sure the network is.
 TEST(Proposals, WithOneClassTheOpenSurfaceIsAskedFor) {
   Known known;

@@ -85,6 +85,33 @@ TEST(NpzLabels, AnArrayThatIsNotThereIsNamed) {
 // --- filling ---
 
 // By hand: tests/bad_files/labels.cases.
+Rows filled(const Outline& outline, int width, int height) {
+  LabelRaster raster = void_raster(width, height);
+  paint(outline_runs(outline, width, height), 1, raster);
+  return rows_of(raster);
+}
+
+TEST(OutlineFill, ThePixelCentreDecides) {
+  EXPECT_EQ(filled({{0.6, 0.6}, {3.4, 0.6}, {3.4, 2.4}, {0.6, 2.4}}, 4, 3), (Rows{"....", ".11.", "...."}));
+  EXPECT_EQ(filled({{0.4, 0.4}, {2.6, 0.4}, {2.6, 1.6}, {0.4, 1.6}}, 4, 3), (Rows{"111.", "111.", "...."}));
+  // A triangle: centres (x + .5, y + .5) with x + y + 1 < 4.
+  EXPECT_EQ(filled({{0, 0}, {4, 0}, {0, 4}}, 4, 4), (Rows{"111.", "11..", "1...", "...."}));
+  EXPECT_EQ(filled({{0, 0}, {4, 0}, {0, 2}}, 4, 2), (Rows{"111.", "1..."})) << "the edge counts at the centre's height";
+}
+
+TEST(OutlineFill, EvenOddAndPartsOutsideTheImage) {
+  // An outline that winds twice around the middle leaves it out.
+  EXPECT_EQ(filled({{0, 0}, {5, 0}, {5, 5}, {0, 5}, {0, 0}, {1, 1}, {4, 1}, {4, 4}, {1, 4}, {1, 1}}, 5, 5),
+            (Rows{"11111", "1...1", "1...1", "1...1", "11111"}));
+  EXPECT_EQ(filled({{-1e6, -1e6}, {1e6, -1e6}, {1e6, 1e6}, {-1e6, 1e6}}, 3, 2), (Rows{"111", "111"}));
+  EXPECT_EQ(filled({{10, 10}, {20, 10}, {20, 20}}, 3, 2), (Rows{"...", "..."}));
+  EXPECT_TRUE(outline_runs({}, 3, 2).empty());
+  LabelRaster disc = void_raster(5, 5);
+  paint(disc_runs({2.5, 2.5}, 1.0, 5, 5), 1, disc);
+  EXPECT_EQ(rows_of(disc), (Rows{".....", "..1..", ".111.", "..1..", "....."}));
+  EXPECT_TRUE(disc_runs({-9, 2}, 1, 5, 5).empty());
+}
+
 TEST(OutlineFill, NeighboursShareNoPixelAndLeaveNoneOut) {
   // A fan of triangles around a point that is a pixel centre, its corners on pixel centres too.
   const std::vector<PixelPoint> rim{{0.5, 0.5}, {4.5, 0.5}, {8.5, 0.5}, {8.5, 4.5},
