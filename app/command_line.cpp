@@ -1,4 +1,3 @@
-#include "app/command_line.h"
 
 #include <fmt/format.h>
 
@@ -15,7 +14,7 @@
 #include <type_traits>
 #include <utility>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"

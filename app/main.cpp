@@ -8,9 +8,9 @@
 #include <string>
 
 #include "app/app_context.h"
-#include "app/command_line.h"
 #include "app/signals.h"
 #include "app/terminal.h"
+#include "app/verb.h"
 #include "core/error.h"
 #include "core/workspace.h"
 #include "plugin/loader.h"

@@ -15,7 +15,7 @@
 #include <string_view>
 #include <system_error>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "train/run_folder.h"

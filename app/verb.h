@@ -130,7 +130,7 @@ struct Verb {
   std::string sentence;
   std::function<Run(const Declaration&)> declare;  ///< what runs when the words are read; empty: a group
   Launch launch = Launch::alone;
-  bool json = true;  ///< takes --json, and then prints its results by print_json() (app/json_output.h)
+  bool json = true;  ///< takes --json, and then prints its results by print_json() (app/app_context.h)
 };
 
 /// `run` gets the words that Words declares, and returns the exit code.
@@ -166,5 +166,20 @@ std::vector<std::string> words_of_verbs();
 const std::string& program_name();
 /// Every verb_NAME() of the program, in no order.
 std::vector<Verb> all_verbs();
+
+// Words to verbs, by CLI11, which parses them and prints their help (command_line.cpp).
+
+/// Parses and runs; returns the exit code. Throws Error(usage) for words that no verb takes. As one of several
+/// processes of a launcher it runs a verb as its `launch` says, and refuses ranks that were started with different
+/// words: rank 0's alone would count.
+int run_command_line(int argc, char** argv, AppContext& context);
+
+/// Whether this process prints what went wrong before it has joined the others: rank 0 does, and who is alone.
+bool is_first_process();
+
+/// What `semfield VERB --help` prints; of the program where `verb` is empty. Throws Error(usage) for what is no verb.
+std::string help_of(const std::vector<std::string>& verb);
+/// docs/reference/verbs.md: the help of every verb.
+std::string verbs_page();
 
 }  // namespace semfield::app

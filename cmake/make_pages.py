@@ -282,7 +282,7 @@ HEADERS = [
     ("For plugins", ["plugin/parametric.h", "core/workspace.h", "plugin/module.h", "plugin/encoder.h", "plugin/field.h", "plugin/mlp/field.h", "plugin/sampler.h", "plugin/head.h", "plugin/loss.h",
                      "scene/dataset.h", "plugin/grouping.h", "plugin/registry.h", "plugin/kernels.h", "scene/loading/posed_photographs.h",
                      "labels/label_files.h", "config/params.h", "core/view.h", "core/error.h", "core/rng.h"]),
-    ("For programs", ["train/trainer.h", "train/run.h", "eval/evaluator.h", "eval/field_points.h", "scene/camera.h"]),
+    ("For programs", ["train/trainer.h", "train/run.h", "eval/evaluator.h", "scene/camera.h"]),
 ]
 
 

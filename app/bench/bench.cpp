@@ -12,8 +12,8 @@
 #include <string_view>
 #include <vector>
 
+#include "app/app_context.h"
 #include "app/bench/step_case.h"
-#include "app/json_output.h"
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/error.h"

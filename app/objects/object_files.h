@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "core/files.h"
 #include "scene/scene.h"
 #include "surface/objects/find_objects.h"

@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "app/app_context.h"
-#include "app/json_output.h"
 #include "scene/classes/class_table.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/surface.h"

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "formats/image_io.h"
 #include "labels/serve/label_state.h"
 #include "labels/serve/view_pictures.h"

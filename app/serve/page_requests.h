@@ -10,7 +10,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "core/error.h"
 #include "eval/evaluator.h"
 #include "labels/serve/view_pictures.h"

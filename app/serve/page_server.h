@@ -12,7 +12,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
 #include "core/non_copyable.h"

@@ -18,7 +18,7 @@
 #include <thread>
 #include <utility>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/signals.h"
 #include "config/config_tree.h"
 #include "config/settings/run_config.h"

@@ -21,11 +21,9 @@
 
 #include "app/app_context.h"
 #include "app/bench/bench.h"
-#include "app/command_line.h"
-#include "app/json_output.h"
 #include "app/numerics_suite.h"
 #include "app/verb.h"
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "config/explain.h"
 #include "config/params.h"
 #include "config/settings/choices.h"

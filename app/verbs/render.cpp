@@ -25,7 +25,6 @@
 
 #include "app/app_context.h"
 #include "app/child_process.h"
-#include "app/json_output.h"
 #include "app/render/run_surface.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"

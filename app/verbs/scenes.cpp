@@ -6,14 +6,14 @@
 #include <optional>
 #include <set>
 
+#include "app/app_context.h"
 #include "app/child_process.h"
-#include "app/json_output.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"

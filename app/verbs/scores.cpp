@@ -5,7 +5,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"

@@ -1,5 +1,5 @@
 // serve: label a scene in the browser while its field trains.
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/verb.h"
 
 #ifdef SEMFIELD_WITH_SERVE

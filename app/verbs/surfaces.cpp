@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "app/app_context.h"
-#include "app/json_output.h"
 #include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"

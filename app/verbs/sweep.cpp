@@ -17,15 +17,14 @@
 #include <string>
 #include <vector>
 
+#include "app/app_context.h"
 #include "app/child_process.h"
-#include "app/json_output.h"
 #include "app/scene/folder_scene.h"
 #include "app/signals.h"
 #include "app/sweep/sweep_work.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
-#include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/config_words.h"
 #include "config/settings/run_config.h"

@@ -4,13 +4,13 @@
 #include <climits>
 #include <nlohmann/json.hpp>
 
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "eval/metrics.h"

@@ -1,5 +1,5 @@
 // view: look at a run in the browser, finished or still training.
-#include "app/json_output.h"
+#include "app/app_context.h"
 #include "app/verb.h"
 
 #ifdef SEMFIELD_WITH_SERVE
@@ -28,7 +28,7 @@
 #include "app/signals.h"
 #include "core/error.h"
 #include "core/non_copyable.h"
-#include "eval/field_points.h"
+#include "eval/evaluator.h"
 #include "eval/image_output.h"
 #include "eval/report/report.h"
 #include "train/opened_run.h"

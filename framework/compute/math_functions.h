@@ -5,7 +5,7 @@
 #include <cstdint>
 
 #include "compute/isa.h"
-#include "core/host_device.h"
+#include "core/view.h"
 
 namespace semfield {
 

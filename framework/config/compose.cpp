@@ -1,7 +1,6 @@
 // From files to one tree: YAML is read strictly, then what a file includes, and what is set over it.
 // The only user of yaml-cpp, and of its events alone: its nodes tell neither anchors nor the places of aliases, and a
 // few aliases of aliases make a tree without bound.
-#include "config/compose.h"
 
 #include <yaml-cpp/eventhandler.h>
 #include <yaml-cpp/exceptions.h>

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <string_view>
 
-#include "core/host_device.h"
+#include "core/view.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include <iterator>
 #include <vector>
 
-#include "core/host_device.h"
+#include "core/view.h"
 
 namespace semfield {
 

@@ -7,10 +7,10 @@
 #include <string>
 #include <vector>
 
+#include "compute/parallel.h"
 #include "core/workspace.h"
 #include "execution/pipeline.h"
 #include "execution/ranks_executor.h"
-#include "execution/thread_arenas.h"
 #include "execution/train_rays.h"
 #include "model/param_store.h"
 #include "model/stages.h"

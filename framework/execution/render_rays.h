@@ -8,8 +8,8 @@
 #include <type_traits>
 #include <vector>
 
+#include "compute/parallel.h"
 #include "core/workspace.h"
-#include "execution/thread_arenas.h"
 #include "model/optim/adam.h"
 #include "model/param_store.h"
 #include "model/pass.h"

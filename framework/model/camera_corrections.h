@@ -5,8 +5,8 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/host_device.h"
 #include "core/small_math.h"
+#include "core/view.h"
 #include "model/param_store.h"
 #include "model/stages.h"
 #include "plugin/sampler.h"

@@ -6,7 +6,6 @@
 #include <cstdint>
 
 #include "config/params.h"
-#include "core/host_device.h"
 #include "core/rng.h"
 #include "core/view.h"
 #include "plugin/sampler.h"

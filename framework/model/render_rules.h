@@ -8,8 +8,8 @@
 
 #include "config/params.h"
 #include "core/error.h"
-#include "core/host_device.h"
 #include "core/small_math.h"
+#include "core/view.h"
 #include "model/compositor.h"
 #include "model/losses/semantic_cross_entropy.h"
 #include "plugin/encoder.h"

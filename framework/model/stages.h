@@ -7,9 +7,9 @@
 
 #include "core/error.h"
 #include "core/half.h"
-#include "core/host_device.h"
 #include "core/non_copyable.h"
 #include "core/rng.h"
+#include "core/view.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"

@@ -7,7 +7,6 @@
 
 #include "config/params.h"
 #include "core/error.h"
-#include "core/host_device.h"
 #include "core/view.h"
 
 namespace semfield {

@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/encoder.h"
 #include "plugin/kernels.h"
 

@@ -3,8 +3,8 @@
 
 #include <cmath>
 
-#include "core/host_device.h"
 #include "core/small_math.h"
+#include "core/view.h"
 
 namespace semfield {
 

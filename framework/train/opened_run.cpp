@@ -6,7 +6,7 @@
 #include <filesystem>
 #include <set>
 
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "config/settings/choices.h"
 #include "core/files.h"
 #include "core/process.h"

@@ -5,7 +5,6 @@
 #include "core/check.h"
 #include "model/compositor.h"
 #include "python/core/errors.h"
-#include "python/core/plugins.h"
 #include "python/core/values.h"
 #include "scene/loading/packed_scene.h"
 #include "train/run_folder.h"

@@ -1,4 +1,3 @@
-#include "python/core/plugins.h"
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>

@@ -10,8 +10,10 @@
 #include <memory>
 #include <vector>
 
-#include "config/compose.h"
+#include "config/config_words.h"
+#include "config/settings/run_config.h"
 #include "core/view.h"
+#include "plugin/registry.h"
 #include "scene/scene.h"
 
 namespace semfield::python {
@@ -81,5 +83,18 @@ py::array ids_array(const std::vector<std::int16_t>& indices, const ClassTable& 
 /// The other way; -1 and ids of ignored classes are void. Throws as fill_frame.
 std::vector<std::int16_t> indices_of(const py::object& ids, const ClassTable& classes, std::int32_t height,
                                      std::int32_t width, const std::string& place);
+
+// What the parts of the extension define, and the plugins that runs of it start from.
+
+/// What every session of this process starts from: linked plugins, and those that were loaded or defined since.
+Registry& base_registry();
+
+/// run_config_of, which lists only those loaded files of Python that it needs: a process tries many ideas, and a run
+/// should open without the others.
+RunConfig session_config_of(const ConfigNode& tree, Registry& registry);
+
+void define_plugins(py::module_& module);
+/// The class Run, and train_run.
+void define_session(py::module_& module);
 
 }  // namespace semfield::python

@@ -9,7 +9,6 @@
 #include <regex>
 #include <sstream>
 
-#include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/config_words.h"
 #include "config/params.h"

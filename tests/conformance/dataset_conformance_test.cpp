@@ -1,7 +1,7 @@
 // Every registered dataset on a tiny scene in its own format: its laws, and what `semfield init` finds.
 
 #include "app/scene/folder_scene.h"
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "core/files.h"
 #include "plugin/loader.h"
 #include "tests/conformance/dataset_samples.h"

@@ -9,7 +9,6 @@
 #include <random>
 
 #include "eval/evaluator.h"
-#include "eval/field_points.h"
 #include "eval/final_eval.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"

@@ -13,8 +13,8 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
-#include "config/compose.h"
 #include "config/config_tree.h"
+#include "config/config_words.h"
 #include "config/params.h"
 #include "config/settings/run_config.h"
 #include "core/files.h"

@@ -3,7 +3,6 @@
 
 #include <cmath>
 
-#include "core/host_device.h"
 #include "core/view.h"
 
 namespace outside {

@@ -5,7 +5,7 @@
 #include <numeric>
 
 #include "compute/parallel.h"
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "core/checksum.h"
 #include "eval/evaluator.h"
 #include "execution/lane_executor.h"

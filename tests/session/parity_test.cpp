@@ -5,7 +5,7 @@
 
 #include "config/settings/choices.h"
 #include "core/rng.h"
-#include "eval/field_points.h"
+#include "eval/evaluator.h"
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"

@@ -6,8 +6,8 @@
 
 #include "compute/isa.h"
 #include "compute/parallel.h"
-#include "config/compose.h"
 #include "config/config_tree.h"
+#include "config/config_words.h"
 #include "config/explain.h"
 #include "config/settings/choices.h"
 #include "core/rng.h"

@@ -7,7 +7,7 @@
 #include <map>
 #include <set>
 
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "config/settings/run_config.h"
 #include "plugin/loader.h"
 #include "tests/scene/tiny_scene.h"

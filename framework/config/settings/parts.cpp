@@ -7,7 +7,6 @@
 #include <filesystem>
 #include <initializer_list>
 
-#include "config/compose.h"
 #include "config/config_words.h"
 #include "config/settings/run_config.h"
 #include "core/files.h"

@@ -10,7 +10,6 @@
 #include <filesystem>
 #include <string_view>
 
-#include "config/compose.h"
 #include "config/config_words.h"
 #include "core/text.h"
 

@@ -13,7 +13,6 @@
 #include <span>
 #include <string_view>
 
-#include "config/compose.h"
 #include "config/config_words.h"
 #include "config/params.h"
 #include "config/settings/run_config.h"

@@ -13,7 +13,7 @@
 #include <tuple>
 #include <utility>
 
-#include "config/compose.h"
+#include "config/config_words.h"
 #include "config/settings/choices.h"
 #include "config/settings/run_config.h"
 #include "core/error.h"

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "core/check.h"
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/field.h"
 #include "plugin/mlp/mlp.h"
 

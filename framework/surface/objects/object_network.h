@@ -8,8 +8,8 @@
 #include <span>
 #include <vector>
 
+#include "compute/parallel.h"
 #include "core/small_math.h"
-#include "execution/thread_arenas.h"
 #include "model/param_store.h"
 #include "plugin/grouping.h"
 #include "plugin/mlp/mlp.h"

@@ -5,7 +5,6 @@
 #include <cstdint>
 
 #include "compute/math_functions.h"
-#include "core/host_device.h"
 #include "core/view.h"
 #include "plugin/row_encoder.h"
 

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/host_device.h"
 #include "core/view.h"
 #include "plugin/row_encoder.h"
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <string>
 
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/loss.h"
 
 namespace semfield {

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/loss.h"
 
 namespace semfield {

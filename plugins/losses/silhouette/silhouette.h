@@ -1,7 +1,7 @@
 // Loss `silhouette`: what transparent images say of where the subject is.
 #pragma once
 
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/loss.h"
 
 namespace semfield {

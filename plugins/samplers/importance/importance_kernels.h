@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cstdint>
 
-#include "core/host_device.h"
 #include "core/rng.h"
 #include "core/view.h"
 #include "core/workspace.h"

@@ -5,9 +5,9 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/host_device.h"
 #include "core/rng.h"
 #include "core/small_math.h"
+#include "core/view.h"
 #include "core/workspace.h"
 #include "plugin/sampler.h"
 

@@ -3,8 +3,8 @@
 
 #include <cstdint>
 
-#include "core/host_device.h"
 #include "core/rng.h"
+#include "core/view.h"
 #include "plugin/quadrature.h"
 #include "plugin/sampler.h"
 

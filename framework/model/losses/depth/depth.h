@@ -1,7 +1,7 @@
 // Loss `depth`: what depth images say of where a ray's light comes from.
 #pragma once
 
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/loss.h"
 
 namespace semfield {

@@ -1,7 +1,7 @@
 // Loss `distortion`: light of a ray comes from one place [Barron22, Eq. 15].
 #pragma once
 
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/loss.h"
 
 namespace semfield {

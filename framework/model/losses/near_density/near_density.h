@@ -1,7 +1,7 @@
 // Loss `near_density`: what lies right in front of a camera is empty [Yang23].
 #pragma once
 
-#include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/loss.h"
 
 namespace semfield {
