@@ -21,7 +21,6 @@
 
 #include "app/app_context.h"
 #include "app/bench/bench.h"
-#include "app/numerics_suite.h"
 #include "app/verb.h"
 #include "config/config_words.h"
 #include "config/explain.h"

@@ -14,35 +14,12 @@
 #include "config/settings/choices.h"
 #include "core/non_copyable.h"
 #include "formats/safetensors.h"
-#include "labels/clicks.h"
+#include "train/changed_labels.h"
 #include "train/checkpoint.h"
 #include "train/ray_source.h"
 #include "train/session.h"
 
 namespace semfield {
-
-/// What Trainer::set_labels and set_clicks do. Each changes everything or, where it throws, nothing.
-class ChangedLabels {
- public:
-  /// Borrows both.
-  ChangedLabels(Session& session, RaySource& rays);
-  void set(int frame, std::vector<std::int16_t> labels);
-  void set_clicks(const Annotations& clicks, std::span<const int> frames);
-  /// Of the labels that were set, not clicked, for checkpoints; "" where none were.
-  std::string name() const;
-  /// Events whose labels train; none: the session has no clicks.
-  const std::optional<EventsKnown>& clicks() const { return clicks_; }
-
- private:
-  void require_drawn(int frame) const;
-  template <class Paint>
-  void replace(std::span<const int> frames, const Paint& paint);
-
-  Session& session_;
-  RaySource& rays_;
-  std::optional<EventsKnown> clicks_;
-  std::vector<bool> was_set_;  // by frame: its labels are those of set
-};
 
 /// What a training reports while it runs; every call comes from the thread that asked for the work.
 class TrainingListener : NonCopyable {

@@ -5,7 +5,7 @@
 #include <ctime>
 #include <fstream>
 
-#include "app/numerics_suite.h"
+#include "app/bench/bench.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "plugin/registry.h"

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Builds the site of the documents with mkdocs: cmake/make_site.py [--pages FOLDER] [--out FOLDER]
+"""Builds the site of the documents with mkdocs: scripts/make_site.py [--pages FOLDER] [--out FOLDER]
 
 Pages are those of the CMake target docs_pages, in build/release/docs; navigation is the list under "All pages" of docs/index.md.
 Read it in a browser, search included: python3 -m http.server --directory build/site"""
