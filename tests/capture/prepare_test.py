@@ -37,6 +37,23 @@ class Programs(PrepareCase):
         self.assertFalse((self.dir / "scene").exists())
 
 
+class Heic(PrepareCase):
+    def test_photographs_become_png(self):
+        (self.dir / "photographs").mkdir()
+        for i in range(3):
+            shutil.copy(pathlib.Path(__file__).parent / "gradient.heic", self.dir / f"photographs/IMG_{i}.HEIC")
+        r = self.semfield("prepare photographs --out scene", env={"PATH": f"{self.bin}:/usr/bin:/bin"})
+        if "[capture.photographs.heic]" in r.err:
+            self.skipTest("libheif has no decoder here")
+        self.ended(r, 65, "[capture.poses.none]")
+        pixels = png_bytes(self.dir / "scene/images/IMG_1.png")
+        self.assertEqual(len(pixels), 3 * 64 * 48)
+        for x, y in ((5, 5), (40, 20), (60, 45)):  # made with red 4 x, green 5 y, blue 128
+            at = 3 * (64 * y + x)
+            for seen, made in zip(pixels[at:at + 3], (4 * x, 5 * y, 128)):
+                self.assertLess(abs(seen - made), 16)
+
+
 @unittest.skipUnless(shutil.which("ffmpeg") and shutil.which("ffprobe"), "ffmpeg is not installed")
 class TrueFfmpeg(PrepareCase):
     def film(self, path):

@@ -97,13 +97,33 @@ constexpr std::array<std::string_view, 10> kVideos{".mp4", ".mov", ".m4v", ".mkv
 constexpr std::array<std::string_view, 2> kHeic{".heic", ".heif"};
 constexpr std::size_t kFewest = 3;
 
-void add_photographs(const fs::path& folder, const std::string& prefix, std::vector<Photograph>& out) {
-  std::vector<std::string> files = files_with(folder.string(), kPhotographs);
+using Endings = std::span<const std::string_view>;
+
+bool is_heic(const std::string& path) { return std::ranges::find(kHeic, ending_of(path)) != kHeic.end(); }
+
+void add_photographs(const fs::path& folder, const std::string& prefix, Endings endings, std::vector<Photograph>& out) {
+  std::vector<std::string> files = files_with(folder.string(), endings);
   std::sort(files.begin(), files.end(), comes_before);
   for (std::string& file : files) {
-    std::string name = prefix + fs::path(file).filename().string();
-    out.push_back({std::move(file), std::move(name)});
+    fs::path name = fs::path(file).filename();
+    if (is_heic(file)) name.replace_extension(".png");
+    out.push_back({std::move(file), prefix + name.string()});
   }
+}
+
+void find_photographs(const std::string& path, Endings endings, CaptureSource& out) {
+  std::error_code unknown;
+  add_photographs(path, "", endings, out.photographs);
+  if (out.photographs.size() < kFewest) {
+    std::vector<Photograph> inner;
+    add_photographs(fs::path(path) / "images", "", endings, inner);
+    if (inner.size() >= kFewest) out.photographs = inner;
+  }
+  if (!out.photographs.empty()) return;
+  for (const fs::directory_entry& entry : sorted_folder(path))
+    if (entry.is_directory(unknown))
+      add_photographs(entry.path(), entry.path().filename().string() + "/", endings, out.photographs);
+  out.camera_per_folder = !out.photographs.empty();
 }
 
 // "30 of 4032 x 3024 (a.jpg, b.jpg, ...)" of each kind.
@@ -150,11 +170,10 @@ bool comes_before(const std::string& a, const std::string& b) {
 }
 
 CaptureSource look_at_source(const std::string& path) {
-  std::error_code unknown;
   CaptureSource out;
   out.path = fs::absolute(path).lexically_normal().string();
   if (out.path.size() > 1 && out.path.ends_with('/')) out.path.pop_back();
-  const std::string remedy = "name a video, or a folder of photographs (.jpg, .png, .tif)";
+  const std::string remedy = "name a video, or a folder of photographs (.jpg, .png, .tif, .heic)";
   if (!is_there(path))
     throw Error(ErrorKind::no_input, "files.folder.missing", "'" + path + "' is not there", "check the path");
   if (!is_folder(path)) {
@@ -163,26 +182,10 @@ CaptureSource look_at_source(const std::string& path) {
     out.video = true;
     return out;
   }
-  add_photographs(path, "", out.photographs);
-  if (out.photographs.size() < kFewest) {
-    std::vector<Photograph> inner;
-    add_photographs(fs::path(path) / "images", "", inner);
-    if (inner.size() >= kFewest) out.photographs = inner;
-  }
-  if (out.photographs.empty()) {
-    for (const fs::directory_entry& entry : sorted_folder(path))
-      if (entry.is_directory(unknown))
-        add_photographs(entry.path(), entry.path().filename().string() + "/", out.photographs);
-    out.camera_per_folder = !out.photographs.empty();
-  }
+  find_photographs(path, kPhotographs, out);
+  if (out.photographs.empty()) find_photographs(path, kHeic, out);
   if (!out.photographs.empty()) return out;
   const std::vector<std::string> videos = files_with(path, kVideos);
-  if (!files_with(path, kHeic).empty())
-    throw Error(
-        ErrorKind::data, "capture.photographs.heic",
-        "the photographs in '" + path + "' are HEIC, which COLMAP does not read",
-        "make JPEG of them with `heif-convert IMG.heic IMG.jpg` (sudo apt install libheif-examples), or set the "
-        "phone's camera to \"most compatible\"");
   throw Error(ErrorKind::no_input, "capture.source.empty", "'" + path + "' holds no photographs",
               videos.empty() ? remedy : "name the video itself: " + shell_word(videos.front()));
 }
@@ -210,6 +213,12 @@ void check_photographs(const CaptureSource& source, Diagnostics& diagnostics) {
   std::map<std::string, Kinds> by_size, by_lens;  // of each folder that is a camera
   std::size_t turned = 0;
   for (std::size_t i = 0; i < all.size(); ++i) {
+    if (errors[i] && is_heic(all[i].path)) {
+      diagnostics.error("capture.photographs.heic", "", errors[i]->message(),
+                        "install a decoder (sudo apt install libheif-plugin-libde265; it is part of libheif1 on Debian "
+                        "12), or make JPEG of them with `heif-convert IMG.heic IMG.jpg` (libheif-examples)");
+      continue;
+    }
     if (errors[i]) {
       diagnostics.error(errors[i]->code(), "", errors[i]->message(),
                         errors[i]->remedy() + "; or take the file out of the folder");

@@ -53,7 +53,8 @@ std::vector<std::string> all_words(std::initializer_list<std::vector<std::string
 
 struct Photograph {
   std::string path;
-  std::string name;  ///< below the folder of images: "IMG_1.jpg", or "left/1.jpg" where each folder is a camera
+  std::string name;  ///< below the folder of images: "IMG_1.jpg", or "left/1.jpg" where each folder is a camera;
+                     ///< of HEIC, which COLMAP does not read, "IMG_1.png"
 };
 
 struct CaptureSource {
@@ -67,7 +68,7 @@ struct CaptureSource {
 bool comes_before(const std::string& a, const std::string& b);
 
 /// A file is a video. Of a folder the photographs in it count, or in its folder `images`, or those of the folders in
-/// it, each of one camera. Throws Error for what is neither.
+/// it, each of one camera; HEIC where there are no others. Throws Error for what is neither.
 CaptureSource look_at_source(const std::string& path);
 
 /// Reports, by the headers alone: files that cannot be read, fewer than three photographs, and of one camera's

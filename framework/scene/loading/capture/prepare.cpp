@@ -663,7 +663,14 @@ std::vector<std::string> bring_images(const CaptureSource& source, const Prepare
     progress({"copying", "photographs"}, static_cast<double>(i), static_cast<double>(names.size()));
     const fs::path to = folders.images / names[i];
     create_folders(to.parent_path().string());
-    if (!fs::exists(to)) copy_whole(source.photographs[i].path, to.string());
+    const std::string& from = source.photographs[i].path;
+    if (fs::exists(to)) continue;
+    if (fs::path(from).extension() == to.extension()) {
+      copy_whole(from, to.string());
+    } else {
+      const Image<std::uint8_t> photograph = read_rgb(from);
+      write_png_rgb(to.string(), photograph.width_px, photograph.height_px, photograph.pixels);
+    }
   }
   state.mark("images");
   return names;
