@@ -144,7 +144,7 @@ void ask_laws(const CheckOptions& options, bool silent, int memory) {
       reinterpret_cast<LawSuite>(part_symbol("semfield_laws", kLawSuiteSymbol, "the laws cannot be loaded"));
   Registry registry;
   LawRequest request;
-  // The row that is open is told of again: with its build, and when it has ended.
+  // An open row is replaced when its build is known and when it has ended.
   const auto keep = [&](const LawRow& row, bool open) {
     if (asked.value("open", false)) asked["rows"].erase(asked["rows"].size() - 1);
     asked["rows"].push_back(json_of(row));

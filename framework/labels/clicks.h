@@ -18,7 +18,7 @@
 
 namespace semfield {
 
-// clicks.jsonl: the label events of a run, a line each, on the disk before anybody is told that they are taken.
+// clicks.jsonl: the label events of a run, one per line. An event is on the disk before it is confirmed.
 
 enum class LabelEventKind : std::uint8_t { click, add_class, change_class, undo, skip, merge_class, delete_class };
 
