@@ -31,9 +31,10 @@ constexpr int kHoldOut = 8;
 constexpr double kMostScored_px = 4e5;    // paired cells score the same pixels, and all of them cost more than training
 constexpr std::size_t kMostTogether = 6;  // values that are combined
 // Shares of the time by whose end a round ends, if it can; of the first three, those of what the full length leaves.
-constexpr double kAloneUntil = 0.55, kTogetherUntil = 0.8, kFullUntil = 0.85, kOutUntil = 0.94;
+constexpr double kAloneUntil = 0.7, kTogetherUntil = 0.9, kFullUntil = 0.85, kOutUntil = 0.94;
 constexpr double kMostForFull = 0.45;   // of the time
 constexpr double kLeastTrusted = 0.45;  // of the full length: what trains less tells little of what parts are worth
+constexpr std::size_t kFewTrusted = 5;  // that long, rather than many that mislead
 
 const std::vector<TuneAim> kAims{{"psnr", "psnr", "dB", 0.05, 2},
                                  {"miou", "miou_present", "mIoU", 0.005, 3},
@@ -240,12 +241,10 @@ class Race {
     const double full_s = std::ceil(2.0 / plan_.at_a_time) * (work_.cell_s() + plan_.length * unit_s_);
     return part * (kFullUntil - std::min(1.05 * full_s / plan_.time_s, kMostForFull));
   }
-  // As many of the first candidates as possible, half of them at least, that end in time; then all seeds, or one, and
-  // the longest training from `least` to `most`. Where half of them do not, two may do, of any length. No candidates:
-  // there are no two, or no time.
+  // As many of the first candidates as possible, `fewest` at least, that end in time; then all seeds, or one, and the
+  // longest training from `least` to `most`. No candidates: there is no time.
   TuneRound fit(const std::string& name, const std::vector<TuneChoice>& candidates, double least, double most,
-                double until) {
-    const std::size_t fewest = std::max<std::size_t>(2, least > 0 ? candidates.size() / 2 : 2);
+                double until, std::size_t fewest) {
     for (std::vector<TuneChoice> some = candidates; some.size() >= fewest; some.pop_back())
       for (const int seeds : {plan_.seeds, 1})
         for (const double part : kParts) {
@@ -255,8 +254,14 @@ class Race {
             note(fmt::format("time for {} of {} in the round '{}'", some.size() - 1, candidates.size() - 1, name));
           return {name, length, seeds, std::move(some)};
         }
-    if (least > 0) return fit(name, candidates, 0, most, until);
     return {name, 0, 1, {}};
+  }
+  // The same with half of the candidates; where they have no time, with two, of any length.
+  TuneRound fit(const std::string& name, const std::vector<TuneChoice>& candidates, double least, double most,
+                double until) {
+    TuneRound half{};
+    if (least > 0) half = fit(name, candidates, least, most, until, std::max<std::size_t>(2, candidates.size() / 2));
+    return half.candidates.empty() ? fit(name, candidates, 0, most, until, 2) : half;
   }
   void note(const std::string& text) { out_.notes.push_back(text); }
 
@@ -361,9 +366,15 @@ class Race {
     for (std::size_t axis = 0; axis < axes_.size(); ++axis)
       for (int value = 0; value < std::ssize(axes_[axis].values) && !axes_[axis].is_part && has_data(axes_[axis]);
            ++value)
-        candidates.push_back(with(base_, axis, value));
-    return candidates.size() == 1 ||
-           round(fit("alone", candidates, whole(plan_.length / 8), whole(plan_.length / 4), search_until(kAloneUntil)));
+        if (const TuneChoice one = with(base_, axis, value);
+            write_config(with_choice(plan_, one)) != write_config(plan_.config))
+          candidates.push_back(one);
+    if (candidates.size() == 1) return true;
+    // Half of the length if that lets some be tried: what learns slowly and ends higher loses in shorter trainings.
+    const double half = whole(plan_.length / 2), until = search_until(kAloneUntil);
+    TuneRound wanted = fit("alone", candidates, half, half, until, std::min(kFewTrusted, candidates.size()));
+    if (wanted.candidates.empty()) wanted = fit("alone", candidates, whole(plan_.length / 8), half / 2, until);
+    return round(wanted);
   }
 
   // The best value of each axis: two of them, three, ... And the better third of the values.
