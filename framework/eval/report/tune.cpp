@@ -34,7 +34,7 @@ constexpr std::size_t kMostTogether = 6;  // values that are combined
 constexpr double kAloneUntil = 0.7, kTogetherUntil = 0.9, kFullUntil = 0.85, kOutUntil = 0.94;
 constexpr double kMostForFull = 0.45;   // of the time
 constexpr double kLeastTrusted = 0.45;  // of the full length: what trains less tells little of what parts are worth
-constexpr std::size_t kFewTrusted = 5;  // that long, rather than many that mislead
+constexpr std::size_t kFewTrusted = 4;  // that long, rather than many that mislead
 
 const std::vector<TuneAim> kAims{{"psnr", "psnr", "dB", 0.05, 2},
                                  {"miou", "miou_present", "mIoU", 0.005, 3},
