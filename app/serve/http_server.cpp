@@ -34,58 +34,39 @@
 
 namespace semfield::app {
 
-// Which port the server may take, checked with the system before the server starts, so that a refusal has its cause.
-
-namespace {
-
-// A socket that listens at `port`, 0: any, which it becomes; -1 with errno where the system refuses.
-int listen_at(const in_addr& address, int& port) {
-  const int listener = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  if (listener < 0) return listener;
-  sockaddr_in place{};
-  place.sin_family = AF_INET;
-  place.sin_addr = address;
-  place.sin_port = htons(static_cast<std::uint16_t>(port));
-  const int yes = 1;
-  setsockopt(listener, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
-  socklen_t size = sizeof place;
-  if (bind(listener, reinterpret_cast<const sockaddr*>(&place), sizeof place) == 0 &&
-      listen(listener, SOMAXCONN) == 0 && getsockname(listener, reinterpret_cast<sockaddr*>(&place), &size) == 0) {
-    port = ntohs(place.sin_port);
-    return listener;
-  }
-  const int cause = errno;
-  close(listener);
-  errno = cause;
-  return -1;
-}
-
-}  // namespace
-
-int free_port(const std::string& address, int port, bool next) {
-  in_addr number{};
-  if (inet_pton(AF_INET, address.c_str(), &number) != 1)
+int listen_on(HttpOptions& options) {
+  const std::string& address = options.address;
+  const int port = options.port, last = options.next_port ? port + 99 : port;
+  sockaddr_in at{};
+  at.sin_family = AF_INET;
+  if (inet_pton(AF_INET, address.c_str(), &at.sin_addr) != 1)
     throw Error(ErrorKind::usage, "serve.address.invalid",
                 "--address " + address + ": expected an IPv4 address in numbers",
                 "give 127.0.0.1 for this machine alone, or 0.0.0.0 for every network that it is in");
-  const int last = next ? port + 99 : port;
   int cause = 0;
-  for (int at = port; at <= last && at <= 65535; ++at) {
-    int got = at;
-    if (const int listener = listen_at(number, got); listener >= 0) {
-      close(listener);
-      return got;
+  for (int next = port; next <= std::min(last, 65535); ++next) {
+    const int listener = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0), yes = 1;
+    auto* const place = reinterpret_cast<sockaddr*>(&at);
+    socklen_t size = sizeof at;
+    at.sin_port = htons(static_cast<std::uint16_t>(next));
+    if (listener >= 0 && setsockopt(listener, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes) == 0 &&
+        bind(listener, place, size) == 0 && listen(listener, SOMAXCONN) == 0 &&
+        getsockname(listener, place, &size) == 0) {
+      options.port = ntohs(at.sin_port);
+      return listener;
     }
     cause = errno;
+    if (listener >= 0) close(listener);
     if (cause != EADDRINUSE) break;
   }
   const std::string place = address + ":" + std::to_string(port);
   if (cause == EADDRINUSE)
-    throw Error(ErrorKind::unavailable, "serve.port.taken",
-                next ? "the ports " + std::to_string(port) + " to " + std::to_string(last) + " of " + address +
-                           " are all in use"
-                     : "port " + std::to_string(port) + " of " + address + " is in use by another program",
-                next ? "name a free one with --port N" : "end that program, name another port, or leave --port out");
+    throw Error(
+        ErrorKind::unavailable, "serve.port.taken",
+        last > port
+            ? "the ports " + std::to_string(port) + " to " + std::to_string(last) + " of " + address + " are all in use"
+            : "port " + std::to_string(port) + " of " + address + " is in use by another program",
+        last > port ? "name a free one with --port N" : "end that program, name another port, or leave --port out");
   if (cause == EADDRNOTAVAIL)
     throw Error(ErrorKind::unavailable, "serve.address.foreign", "this machine has no address " + address,
                 "see `ip address` for those that it has, or leave --address out");
@@ -283,25 +264,18 @@ struct HttpServer::Impl : NonCopyable {
     std::thread thread{};
   };
 
-  Impl(const HttpOptions& o, HttpHandler h) : options(o), handler(std::move(h)) {
-    in_addr address{};
-    inet_pton(AF_INET, options.address.c_str(), &address);
-    listener = listen_at(address, options.port);
-    if (listener < 0) throw cannot_start(std::strerror(errno));
+  Impl(const HttpOptions& o, int l, HttpHandler h) : options(o), handler(std::move(h)), listener(l) {
     try {
       acceptor = std::thread([this] { accept_all(); });
     } catch (const std::system_error& e) {
       close(listener);
-      throw cannot_start(e.what());
+      throw Error(ErrorKind::unavailable, "serve.port.failed",
+                  fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, e.what()),
+                  "see what limits this process: ulimit -u");
     }
   }
   ~Impl();
 
-  Error cannot_start(const std::string& cause) const {
-    return {ErrorKind::unavailable, "serve.port.failed",
-            fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, cause),
-            "name another --port, or see what limits this process: ulimit -n -u"};
-  }
   void accept_all();
   bool give_up_one(std::unique_lock<std::mutex>& lock);
   void forget_ended();
@@ -311,9 +285,9 @@ struct HttpServer::Impl : NonCopyable {
   void receive(Peer& peer, std::string& unread);
   void respond(Peer& peer, HttpResponse response, bool with_body = true);
 
-  HttpOptions options;
-  HttpHandler handler;
-  int listener = -1;
+  const HttpOptions options;
+  const HttpHandler handler;
+  const int listener;
   std::atomic<bool> stopping{false};
   std::mutex mutex;                 // of these
   std::condition_variable changed;  // a peer has ended, or a response is made
@@ -483,8 +457,8 @@ void HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool with_body
   }
 }
 
-HttpServer::HttpServer(const HttpOptions& options, HttpHandler handler)
-    : impl_(std::make_unique<Impl>(options, std::move(handler))) {}
+HttpServer::HttpServer(const HttpOptions& options, int listener, HttpHandler handler)
+    : impl_(std::make_unique<Impl>(options, listener, std::move(handler))) {}
 
 HttpServer::~HttpServer() = default;
 

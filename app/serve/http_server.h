@@ -76,19 +76,25 @@ inline constexpr int kUsualPort = 8787;
 
 struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
-  int port = kUsualPort;              ///< a free_port()
-  int responses = 64;                 ///< made at a time; other requests wait
-  std::size_t connections = 512;      ///< with more, the one that has been waited for the longest is closed
+  int port = kUsualPort;
+  bool next_port = false;         ///< when the port is taken, one of the 99 behind it
+  int responses = 64;             ///< made at a time; other requests wait
+  std::size_t connections = 512;  ///< with more, the one that has been waited for the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
   int head_ms = 5000;   ///< for a head, and for a client that reads nothing
   int body_ms = 10000;  ///< for a body
 };
 
+/// A socket that listens at the address and port, 0: any; the port that it has is written into the options. Throws
+/// Error: usage for an address that is none, unavailable for one that this machine has not, and for a port that is
+/// taken or forbidden.
+int listen_on(HttpOptions& options);
+
 /// A connection serves one request, in a thread of its own, so that one that is idle, slow or gone holds up nobody.
 class HttpServer : NonCopyable {
  public:
-  /// Listens when it returns. Throws Error(unavailable).
-  HttpServer(const HttpOptions& options, HttpHandler handler);
+  /// Serves when it returns, and closes the listener (listen_on) in the end. Throws Error(unavailable).
+  HttpServer(const HttpOptions& options, int listener, HttpHandler handler);
   /// Responses that are being made get a second to be sent; those that take longer are marked as awaited by nobody
   /// (HttpRequest::abandoned), waited for and not sent.
   ~HttpServer();
@@ -97,10 +103,5 @@ class HttpServer : NonCopyable {
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
-
-/// A port of `address` that can be listened on: `port`, or with `next` the first free one of the hundred from there;
-/// for 0 any. Throws Error: usage for an address that is none, unavailable for one that this machine has not, and for a
-/// port that is taken or forbidden.
-int free_port(const std::string& address, int port, bool next);
 
 }  // namespace semfield::app

@@ -429,8 +429,9 @@ HostOptions host_at(const std::string& address, std::optional<int> port, const s
   HostOptions options;
   options.http.address = address;
   options.http.port = port.value_or(kUsualPort);
-  options.next_port = !port;
-  (void)free_port(address, options.http.port, options.next_port);
+  options.http.next_port = !port;
+  HttpOptions tried = options.http;
+  close(listen_on(tried));
   options.files = read_page_files(index);
   options.guide = guide;
   return options;
@@ -439,8 +440,6 @@ HostOptions host_at(const std::string& address, std::optional<int> port, const s
 PageHost::PageHost(HostOptions options, Places places) : options_(std::move(options)), places_(std::move(places)) {
   for (const auto& [name, file] : options_.files)
     places_[name] = {"GET", [&file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
-  HttpOptions& http = options_.http;
-  http.port = free_port(http.address, http.port, options_.next_port);
   HttpHandler handler;
   handler.refuse = [this](const HttpRequest& head) {
     std::optional<HttpResponse> refused;
@@ -451,7 +450,8 @@ PageHost::PageHost(HostOptions options, Places places) : options_(std::move(opti
     return failed.status == 200 ? refused : failed;
   };
   handler.answer = [this](const HttpRequest& request) { return safe_answer([&] { return route(request); }); };
-  http_.emplace(http, std::move(handler));
+  const int listener = listen_on(options_.http);
+  http_.emplace(options_.http, listener, std::move(handler));
 }
 
 HttpResponse PageHost::route(const HttpRequest& request) {

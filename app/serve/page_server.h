@@ -83,14 +83,13 @@ class News : NonCopyable {
 
 struct HostOptions {
   HttpOptions http;
-  bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
-  std::string token;       ///< new_token()
+  std::string token;  ///< new_token()
   PageFiles files;
   std::string guide;  ///< the page of the documents that describes the places
 };
 
 /// A host at `address` and `port`, without one at the usual port or the next that is free, whose page is `index`.html;
-/// made before anything that takes time. Throws as free_port and read_page_files do.
+/// made before anything that takes time. Throws as listen_on and read_page_files do.
 HostOptions host_at(const std::string& address, std::optional<int> port, const std::string& index,
                     const std::string& guide);
 
@@ -104,7 +103,7 @@ class PageHost : NonCopyable {
   /// By their names below the secret folder; one that ends in '/' is of all that lies below it.
   using Places = std::map<std::string, Place>;
 
-  /// Serves the files and `places` when it returns. Throws as free_port does.
+  /// Serves the files and `places` when it returns. Throws as listen_on does.
   PageHost(HostOptions options, Places places);
 
   /// The address to open, with the token.
@@ -137,7 +136,7 @@ struct PageOptions : HostOptions {
 
 class PageServer : NonCopyable {
  public:
-  /// Serves when it returns; the source must outlive it. Throws as free_port does.
+  /// Serves when it returns; the source must outlive it. Throws as listen_on does.
   PageServer(LabelSource& source, PageOptions options);
   /// Requests that wait for news get a response, pictures are waited for.
   ~PageServer() { end_waiting(); }

@@ -769,7 +769,9 @@ TEST_F(ServedPage, ClosingGivesUpPicturesThatTakeLong) {
 TEST_F(ServedPage, AddressesThatAreNoneAreNamed) {
   for (const auto& [address, kind] :
        {std::pair{"somewhere", ErrorKind::usage}, {"::1", ErrorKind::usage}, {"203.0.113.7", ErrorKind::unavailable}}) {
-    EXPECT_HAS(error_of(kind, [&] { (void)free_port(address, 8787, true); }), address) << address;
+    HttpOptions http;
+    http.address = address;
+    EXPECT_HAS(error_of(kind, [&] { (void)listen_on(http); }), address) << address;
   }
 }
 
