@@ -96,7 +96,9 @@ bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfi
   Changes edited, asked;
   for (ConfigDifference& change : changes_since(*trained, config).refused) {
     same_scene = same_scene && !change.key.starts_with("scene.");
-    (on_purpose.contains(change.key) ? asked : edited).push_back(std::move(change));
+    // The type of a plugin brings the defaults of its other parameters.
+    const std::string type = change.key.substr(0, change.key.rfind('.')) + ".type";
+    (on_purpose.contains(change.key) || on_purpose.contains(type) ? asked : edited).push_back(std::move(change));
   }
   if (!edited.empty()) {
     throw Error(ErrorKind::config, "run.config.edited",

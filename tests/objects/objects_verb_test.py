@@ -74,7 +74,7 @@ class Objects(ProgramCase):
         (self.dir / "segments").mkdir()
         for name, file in self.views().items():
             shutil.copy(file, self.dir / f"segments/{name}.png")
-        for method in ("", "--set 'objects.method={type: contrastive, dims: 4, gather: 0.5, slow: 0.9, radius: 1}'"):
+        for method in ("", "--set 'objects.method={type: contrastive, dims: 4}'"):
             self.has(self.ok(f"objects run --segments segments {method} {QUICK}").out, "objects: objects=", "segments=")
         self.ended(f"objects run {QUICK}", 65, "[objects.segments.none]", "--segments")
         self.ended(f"objects run --segments segments --score --out scored {QUICK}", 65, "[objects.truth.none]")
