@@ -171,13 +171,18 @@ TEST_F(Tuning, SeveralDevicesTrainLonger) {
   EXPECT_GT(trained_s(2), 1.3 * trained_s(1));
 }
 
-TEST_F(Tuning, WhatTheSceneHasNoDataForIsNoCandidate) {
+TEST_F(Tuning, WhatTheSceneHasNoDataForOrHasAlreadyIsNoCandidate) {
+  plan_.config = parse_config_text("train: {b: 1}", "base.yaml");
+  plan_.axes[1].values[0].set[0].value = ConfigNode::make_scalar("1", false, {});
   plan_.axes[0].values = {{"labels", {{"semantics.weight", ConfigNode()}}}};
   plan_.axes[4].values = {{"without depth", {{"losses.depth", ConfigNode()}}}};
   without_ = {"miou_present"};
   (void)race_of(2000);
   for (const TuneRound& round : record_)
-    for (const TuneChoice& choice : round.candidates) EXPECT_EQ(choice[0] + choice[4], -2) << round.name;
+    for (const TuneChoice& choice : round.candidates) {
+      EXPECT_EQ(choice[0] + choice[4], -2) << round.name;
+      EXPECT_NE(choice[1], 0) << round.name;
+    }
 }
 
 TEST_F(Tuning, EndsInTimeAndTriesTheFirstAxesWhereItIsShort) {
