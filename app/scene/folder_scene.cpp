@@ -92,9 +92,7 @@ ConfigNode section_of(const Recognised& found) {
 }
 
 // Letters, digits, '-' and '_', as names of files and runs have.
-std::string plain_name(const fs::path& path) {
-  std::error_code unknown;
-  fs::path folder = fs::weakly_canonical(path, unknown);
+std::string plain_name(fs::path folder) {
   if (is_file(folder)) {
     folder = folder.extension() == ".json" ? folder.parent_path() : folder.replace_extension();
   }

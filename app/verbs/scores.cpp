@@ -233,7 +233,7 @@ int run(const ReportOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_report() {
-  return make_verb<ReportOptions>("report", 40, "write one HTML page about runs, or compare two bit by bit", run);
+  return make_verb<ReportOptions>("report", 40, "write one HTML page about a run, or several side by side", run);
 }
 
 }  // namespace semfield::app

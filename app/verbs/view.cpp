@@ -188,6 +188,7 @@ class ViewedRun {
       give();
     }
     void let_others() {
+      if (stop_signal() != 0) throw std::runtime_error("the program ends");  // whoever wants the mesh has gone
       while (run_.hurried_ > 0) {
         give();
         take();

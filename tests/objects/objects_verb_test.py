@@ -98,6 +98,8 @@ class Objects(ProgramCase):
         table = self.read("run/objects/objects.json")["objects"]
         self.assertEqual([row["class"] for row in table], ["crate", "ball"], "in the order of the clicks")
         self.assertGreater(table[1]["points"], 10)
+        self.write("walls.jsonl", click(1, "wall"))
+        self.ended(f"objects run --segments walls.jsonl {QUICK}", 65, "[objects.segments.none]", "none of 1 clicks")
 
 
 if __name__ == "__main__":

@@ -562,6 +562,7 @@ const Machine kMachines[] = {
     {"gpu", 20, 32, 2, [](std::int64_t i, double) { return i < 4 ? 0.4 : 2.4e-4 + 2e-4 * noise(i); }},
     // It passes, and moves nothing.
     {"a_stall", 20, 1, 1, [](std::int64_t i, double) { return i == 200 ? 0.35 : 0.05; }},
+    {"a_stall_that_cuts_it_short", 20, 1, 8, [](std::int64_t, double s) { return s > 3 && s < 13 ? 1 : 0.028; }},
     {"slow_first_step", 10, 1, 2, [](std::int64_t i, double) { return i == 0 ? 2.0 : 0.01; }},
 };
 INSTANTIATE_TEST_SUITE_P(Machines, PaceOn, ::testing::ValuesIn(kMachines),

@@ -348,7 +348,8 @@ double Pace::misses_by(double rate, std::int64_t end) const {
 std::optional<std::int64_t> Pace::made(std::int64_t step, double train_s, std::int64_t end) {
   const double time_s = until_s_ - begin_s_;
   if (end == 0 && train_s >= until_s_) return step;
-  if (!marks_.empty() && train_s - marks_.back().s < share_s_) return std::nullopt;
+  const bool ended = end > 0 && step >= end;
+  if (!marks_.empty() && train_s - marks_.back().s < share_s_ && !ended) return std::nullopt;
   marks_.push_back({train_s, step});
   if (marks_.size() > kMarks) marks_.pop_front();
   const double used_s = train_s - begin_s_;
@@ -359,11 +360,12 @@ std::optional<std::int64_t> Pace::made(std::int64_t step, double train_s, std::i
     return end_at_this_rate();
   }
   const bool measured = marks_.size() == kMarks && marks_.front().s >= settled_.s;
-  if (!measured || step >= end || until_s_ - train_s < kLast * time_s) return std::nullopt;
+  if ((!measured && !ended) || marks_.size() < 2 || until_s_ - train_s < kLast * time_s) return std::nullopt;
   // Of the last tenth, and of all since it was settled: what passes within a moment moves the first alone.
   const double now = misses_by(steps_per_s(), end);
   const double since = misses_by(static_cast<double>(step - settled_.step) / (train_s - settled_.s), end);
-  if (std::abs(now) <= kMissed * time_s || now * since <= 0 || std::abs(since) <= 0.5 * kMissed * time_s)
+  if (!ended &&  // before there were steps to measure, as after a stall in which the number was settled
+      (std::abs(now) <= kMissed * time_s || now * since <= 0 || std::abs(since) <= 0.5 * kMissed * time_s))
     return std::nullopt;
   settled_ = marks_.back();
   return end_at_this_rate();

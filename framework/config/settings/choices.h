@@ -123,7 +123,7 @@ void warn_of_rare_labels(const TrainParams& train, const LabelCount& labels, Dia
 /// Reads no clock: it is given seconds of training. The number of steps is settled after a tenth of the time, once
 /// the rate holds still, and after a quarter of it at the latest: steps become faster as space empties. Where the rate
 /// has changed since for longer than a moment, so that the end would miss the time by more than a twelfth of it, the
-/// number is settled anew.
+/// number is settled anew; also when it is reached more than a tenth of the time too early.
 class Pace {
  public:
   /// For what is trained between two times of training, in seconds.

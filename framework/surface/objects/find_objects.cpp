@@ -1,5 +1,7 @@
 #include "surface/objects/find_objects.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -101,6 +103,10 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
     told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks, kLeastClicked);
     found.id = told.id;
     found.unclaimed = told.unclaimed;
+    if (std::all_of(found.id.begin(), found.id.end(), [](std::int32_t id) { return id == 0; }))
+      throw Error(ErrorKind::data, "objects.segments.none",
+                  fmt::format("none of {} clicks is on a thing that has surface around it", segments.clicks.size()),
+                  "click on things, whose classes are not in objects.stuff, or raise objects.points and objects.rays");
     sights = point_sights(found.surface, found.id);
   }
   clock.part("classes");
