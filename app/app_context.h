@@ -33,6 +33,7 @@ struct AppContext : NonCopyable {
   bool quiet = false;
   bool json = false;
   std::string verb;       ///< that runs: "config check"
+  std::string words;      ///< behind the program's name, for a shell
   bool terminal = false;  ///< stderr is a terminal: one progress line, overwritten
 };
 

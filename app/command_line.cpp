@@ -609,7 +609,7 @@ void refuse_other_words(Ranks& ranks, const std::string& words) {
   }
 }
 
-int run_launched(const Program::Bound& bound, const std::string& words, AppContext& context) {
+int run_launched(const Program::Bound& bound, AppContext& context) {
   const std::optional<Launched> by = launched();
   if (!by || bound.verb.launch == Launch::beside) return bound.run(context);
   if (bound.verb.launch == Launch::alone)
@@ -620,7 +620,7 @@ int run_launched(const Program::Bound& bound, const std::string& words, AppConte
   context.ranks = join_ranks(*by);
   Ranks& ranks = *context.ranks;
   const std::string made = prepare_ranks(ranks, this_environment().version);
-  refuse_other_words(ranks, words);
+  refuse_other_words(ranks, context.words);
   if (ranks.rank() != 0) {
     leave_stop_to_rank_0();
     ranks.end_when([] { return stop_signal() != 0; }, {});
@@ -720,10 +720,11 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   }
   const Program::Bound& bound = found->second;
   context.verb = bound.verb.name;
+  context.words = join(shown, " ");
   if (context.json && !bound.verb.json)
     throw Error(ErrorKind::usage, "usage.json.none", bound.verb.name + " takes no --json", "leave it out");
   for (const std::string& module : program.modules) load_module(context.registry, module);
-  return run_launched(bound, join(shown, " "), context);
+  return run_launched(bound, context);
 }
 
 }  // namespace semfield::app

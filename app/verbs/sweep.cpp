@@ -442,10 +442,7 @@ int run(const TuneOptions& options, AppContext& context) {
   write_file_atomic(page, report_page(json));
   const bool named = is_there(options.config) || is_there(options.config + ".yaml");  // else it is a shipped one
   const fs::path include = named ? fs::proximate(path, fs::absolute(file).parent_path()) : fs::path(path).filename();
-  std::string words = fmt::format("semfield tune {} --time {}", options.config, options.time);
-  if (!options.length.empty()) words += " --length " + options.length;
-  if (options.steps) words += fmt::format(" --steps {}", *options.steps);
-  write_file_atomic(file, tuned_config(plan, outcome, include.string(), words));
+  write_file_atomic(file, tuned_config(plan, outcome, include.string(), "semfield " + context.words));
   const TuneGain& gain = outcome.gain;
   const Json found{{"folder", folder},        {"cells", cells.cells()}, {"best", best},
                    {"gain", gain.mean},       {"unit", unit},           {"noise", outcome.noise},

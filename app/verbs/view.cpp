@@ -189,7 +189,6 @@ class ViewedRun {
       give();
     }
     void let_others() {
-      if (stop_signal() != 0) throw std::runtime_error("the program ends");  // whoever wants the mesh has gone
       while (run_.hurried_ > 0) {
         give();
         take();
@@ -230,7 +229,10 @@ class ViewedRun {
     wishes.depth_rays = fine ? kFineRays : kCoarseRays;
     Turn turn(*this, false);
     SurfaceNews news;
-    news.views = [&](double, double) { turn.let_others(); };
+    news.views = [&](double, double) {
+      if (stop_signal() != 0) throw std::runtime_error("the program ends");
+      turn.let_others();
+    };
     RunSurface made;
     try {
       made = make_run_surface(run_.session, run_.run_dir, wishes, {}, news);

@@ -198,6 +198,11 @@ class JsonOutput(WordsCase):
         self.assertEqual(set(written) - {"semfield", "verb"}, {"frames", "bytes", "folder"})
         self.assertEqual(self.ended("eval nowhere --json", 66).out, "")
 
+    def test_init_calls_its_file_as_the_folder_is_called(self):
+        (self.dir / "my_photos").symlink_to("room")
+        self.ok("init my_photos")
+        self.assertTrue((self.dir / "configs/my_photos.yaml").exists())
+
     def test_serve_tells_its_address(self):
         serve = self.start("serve", self.dir / "config.yaml", "--json", "-q", "--out", self.dir / "labelled")
         until(lambda: "\n" in serve.out_file.read_text() or serve.process.poll() is not None)

@@ -31,7 +31,7 @@ class Tune(ProgramCase):
         self.assertRegex(r.out, r'\Atune: |\n?.*\ntune: cells=\d+ best=\S+ gain=\S+ time_s=\d+ config=tiny.tuned.yaml\n\Z')
         self.assertLessEqual(len(self.results()), dry["cells"])
         written = (self.dir / "tiny.tuned.yaml").read_text()
-        self.assertTrue(written.startswith("# Tuned by `semfield tune tiny.yaml --time 10m --steps 64`"), written)
+        self.assertTrue(written.startswith("# Tuned by `semfield tune tiny.yaml --space space.yaml --steps 64 --time 10m --out out`"), written)
         self.has(written, "include: tiny.yaml")
         self.ok("config check tiny.tuned.yaml")
         self.has((self.dir / "out/tables.md").read_text(), "## Error against run time", "as configured", "rays 256")
