@@ -18,6 +18,7 @@
 #include "core/error.h"
 #include "core/files.h"
 #include "eval/image_output.h"
+#include "eval/photo_edges.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_export.h"
@@ -304,7 +305,7 @@ struct ExportVerbOptions : Options {
       "coco (polygons), coco_rle (run lengths), labelme, or png (label images with class ids, and classes.yaml)");
   const std::string& size = choice(
       "--size SIZE", "stored", {"stored", "trained"},
-      "size of the labels: stored, that of the images in their files, along whose edges the labels are brought; or "
+      "size of the labels, which cling to the edges of the photographs: stored, that of the images in their files; or "
       "trained, the size at which the run loads them");
   const std::optional<long long>& min_area = value_in<std::optional<long long>>(
       "--min-area N", {}, 0, 1e9,
@@ -335,12 +336,13 @@ class Exporter {
     const std::optional<StoredSize> stored = options_.size == "stored" ? stored_size_of(info) : std::nullopt;
     const Camera& camera = stored ? stored->camera : info.camera;
     FrameOptions rendering{stored ? stored->stride : 1, progress};
-    rendering.color = false;
-    RenderedFrame rendered =
+    rendering.probability = true;
+    rendering.classes = session_.classes();
+    const RenderedFrame rendered =
         render_named_frame(*session_.pipeline, info.name, {camera, info.world_from_camera, session_.plan.undistortion},
                            session_.limits, session_.plan.class_of_logit, {}, rendering);
     LabelledFrame frame{info.name, image_of(info), camera.width_px, camera.height_px, {}};
-    frame.label = stored ? labels_at(*stored, std::move(rendered)) : std::move(rendered.label);
+    frame.label = clinging_labels(&info, rendered, rendering.classes, camera.width_px, camera.height_px);
     for (std::int16_t& label : frame.label)
       if (label >= 0 && is_unnamed_class(classes().valid(label).name)) label = kVoid;
     const std::int64_t all = std::ssize(frame.label);

@@ -36,6 +36,7 @@
 #include "core/text.h"
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
+#include "eval/photo_edges.h"
 #include "formats/image_io.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -75,6 +76,8 @@ struct RenderOptions : Options {
   const bool& npy = flag("--npy", "also write depth and entropy as float32 .npy");
   const bool& probability =
       flag("--probability", "also write the probability of every class as float32 .npy [height, width, classes]");
+  const bool& field_labels = flag(
+      "--field-labels", "labels as the field has them, which else cling to the edges of photograph or rendered colour");
   const std::string& channel =
       value("--channel NAME", "also write this channel of a head as float32 .npy [height, width, columns]");
   const std::vector<std::string>& set = run_settings();
@@ -366,7 +369,7 @@ struct Rendered {
 };
 
 // Seconds per frame. A frame's files are compressed and written while the next is rendered.
-double render_all(const Session& s, const std::vector<NamedView>& views, const FrameOptions& wanted,
+double render_all(const Session& s, const std::vector<NamedView>& views, const FrameOptions& wanted, bool field_labels,
                   const FrameSink& sink, const AppContext& context) {
   const auto begin = std::chrono::steady_clock::now();
   std::future<void> written;
@@ -378,9 +381,15 @@ double render_all(const Session& s, const std::vector<NamedView>& views, const F
   FrameOptions options = wanted;
   options.progress = part_done;
   options.classes = s.classes();
+  options.probability |= !field_labels && s.pipeline->has_semantics();
   for (const NamedView& view : views) {
     RenderedFrame frame =
         render_named_frame(*s.pipeline, view.name, view.camera, view.limits, s.plan.class_of_logit, {}, options);
+    if (!frame.probability.empty() && !field_labels) {
+      const FrameInfo* info = view.frame < 0 ? nullptr : &s.scene.info.frames[static_cast<std::size_t>(view.frame)];
+      frame.label = clinging_labels(info, frame, options.classes, frame.width_px, frame.height_px);
+    }
+    if (!wanted.probability) frame.probability.clear();
     if (view.frame >= 0 && !frame.label.empty() && s.config.labels.clicks)
       s.config.labels.clicks->clear_ignored(view.frame, frame.width_px, frame.height_px, frame.label);
     if (written.valid()) written.get();
@@ -418,7 +427,7 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   }
   std::int64_t beyond = 0;
   const double seconds = render_all(
-      s, views, wanted,
+      s, views, wanted, options.field_labels,
       [&](const NamedView& view, const RenderedFrame& frame) {
         const std::string base = (folder / output_name(view.name)).string();
         beyond += write_frame(base, frame, s, options.npy);
@@ -458,8 +467,8 @@ Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, c
   const std::int32_t width_px = first.width_px * static_cast<std::int32_t>(panels.size());
   VideoWriter video(ffmpeg, file.string(), width_px, first.height_px, options.fps);
   const double seconds = render_all(
-      s, views, {}, [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); },
-      context);
+      s, views, {}, options.field_labels,
+      [&](const NamedView&, const RenderedFrame& frame) { video.add(frame_strip(frame, panels, s)); }, context);
   video.finish();
   return {views.size(), seconds, width_px, first.height_px, "file", file.string()};
 }

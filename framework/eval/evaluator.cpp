@@ -16,6 +16,7 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "eval/metrics.h"
+#include "eval/photo_edges.h"
 #include "execution/render_rays.h"
 #include "scene/classes/class_table.h"
 
@@ -64,6 +65,15 @@ std::int32_t columns_of(const Pipeline<float>& pipeline, const std::string& chan
     if (head.channel == channel) return head.head->width();
   throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head that makes a channel '" + channel + "'",
               "see the list `heads` of its run.yaml");
+}
+
+using NamedValues = std::vector<std::pair<std::string, std::optional<double>>>;
+
+void add_detail(NamedValues& out, const std::string& prefix, const LabelDetail& detail) {
+  if (!detail.specks()) return;
+  out.emplace_back(prefix + "border_miou", detail.border.miou_present());
+  out.emplace_back(prefix + "border_accuracy", detail.border.total_accuracy());
+  out.emplace_back(prefix + "specks", detail.specks());
 }
 
 // Labels that a frame trained with, at the pixels scored; empty for a frame without any.
@@ -228,6 +238,13 @@ std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() 
     out.emplace_back("ece", calibration.ece());
     out.emplace_back("nll", calibration.nll());
     out.emplace_back("entropy_auroc", value_of(entropy.detects_wrong()));
+    add_detail(out, "", detail);
+  }
+  if (photo_confusion.scored_px() > 0) {
+    out.emplace_back("photo_miou_present", photo_confusion.miou_present());
+    out.emplace_back("photo_total_accuracy", photo_confusion.total_accuracy());
+    out.emplace_back("photo_ece", photo_calibration.ece());
+    add_detail(out, "photo_", photo_detail);
   }
   if (given.pixels() > 0) {
     out.emplace_back("given_right_px", static_cast<double>(given.right.pixels()));
@@ -270,6 +287,8 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     FrameOptions options;
     options.stride = job.stride;
     options.progress = part_done;
+    options.classes = job.classes;
+    options.probability = semantics && job.stride == 1 && !truth.empty();
     const RenderedFrame frame = render_named_frame(pipeline, info.name, camera, limits, class_of_logit, truth, options);
     const std::vector<std::uint8_t> stored_rgb = strided(stored.rgb, width, height, 3, job.stride);
     std::vector<float> truth_rgb(stored_rgb.size());
@@ -278,11 +297,14 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     std::optional<double> similarity;
     const std::vector<std::uint8_t> used = strided(stored.mask.expand(), width, height, 1, job.stride);
     if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3, used);
-    ConfusionMatrix confusion(semantics ? job.classes : 0);
-    Calibration calibration;
+    ConfusionMatrix confusion(semantics ? job.classes : 0), photo_confusion(confusion);
+    LabelDetail detail(confusion.classes()), photo_detail(detail);
+    Calibration calibration, photo_calibration;
     LabelEntropy entropy, given;
     DepthError depth(limits.far_m);
     const bool labels = semantics && !truth.empty();
+    PhotoLabels photo;
+    if (labels && job.stride == 1) photo = labels_on_photo(frame, job.classes, stored.rgb, width, height);
     std::vector<std::function<void()>> measures{[&] { add_colors(color, truth_rgb, frame.rgb, used); }};
     const auto measure = [&](bool wanted, std::function<void()> add) {
       if (wanted) measures.push_back(std::move(add));
@@ -290,6 +312,11 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     measure(job.fit_colors,
             [&] { add_colors(fitted, truth_rgb, fitted_by_halves(truth_rgb, frame.rgb, frame.width_px, used), used); });
     measure(labels, [&] { confusion.add(truth, frame.label); });
+    measure(labels && job.stride == 1, [&] { detail.add(truth, frame.label, frame.width_px); });
+    measure(!photo.label.empty(), [&] { photo_confusion.add(truth, photo.label); });
+    measure(!photo.label.empty(), [&] { photo_detail.add(truth, photo.label, width); });
+    measure(!photo.label.empty(),
+            [&] { photo_calibration.add(photo.confidence, photo.confidence, photo.label, truth); });
     measure(labels, [&] { calibration.add(frame.confidence, frame.truth_probability, frame.label, truth); });
     measure(labels, [&] { entropy.add(frame.entropy, frame.label, truth); });
     measure(labels && job.given != nullptr, [&] { given.add(frame.entropy, given_labels(job, index), truth); });
@@ -312,6 +339,10 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     if (labels) {
       row.miou_present = confusion.miou_present();
       score.confusion.merge(confusion);
+      score.detail.merge(detail);
+      score.photo_confusion.merge(photo_confusion);
+      score.photo_detail.merge(photo_detail);
+      score.photo_calibration.merge(photo_calibration);
       score.calibration.merge(calibration);
       score.entropy.merge(entropy);
       score.given.merge(given);

@@ -95,8 +95,14 @@ struct FrameScore {
 
 /// Scores of a set of frames: every metric pooled over all pixels.
 struct SplitScore {
-  explicit SplitScore(int classes, double far_m) : confusion(classes), depth(far_m) {}
+  explicit SplitScore(int classes, double far_m)
+      : confusion(classes), detail(classes), photo_confusion(classes), photo_detail(classes), depth(far_m) {}
   ConfusionMatrix confusion;
+  LabelDetail detail;  ///< with stride 1
+  // Labels that cling to the view's photograph (eval/photo_edges.h), with stride 1.
+  ConfusionMatrix photo_confusion;
+  LabelDetail photo_detail;
+  Calibration photo_calibration;
   ColorError color;
   ColorError fitted_color;  ///< EvalJob::fit_colors
   DepthError depth;

@@ -13,6 +13,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/joined_sets.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {
@@ -118,6 +119,83 @@ std::optional<double> ConfusionMatrix::miou() const {
 
 std::optional<double> ConfusionMatrix::miou_present() const {
   return mean_of(per_class(), [](const ClassScore& score) { return score.truth_px > 0 ? score.iou : std::nullopt; });
+}
+
+std::vector<std::uint8_t> beside_borders(std::span<const std::int16_t> truth, std::int32_t width_px) {
+  const std::int32_t height_px = static_cast<std::int32_t>(std::ssize(truth)) / width_px;
+  const auto at = [&](std::int32_t x, std::int32_t y) {
+    return static_cast<std::size_t>(std::int64_t{y} * width_px + x);
+  };
+  // Classes grow into void until they meet.
+  std::vector<std::int16_t> grown(truth.begin(), truth.end()), before;
+  for (std::int32_t round = 0; round < LabelDetail::kGap_px; ++round) {
+    before = grown;
+    for (std::int32_t y = 0; y < height_px; ++y) {
+      for (std::int32_t x = 0; x < width_px; ++x) {
+        std::int16_t& own = grown[at(x, y)];
+        if (own == kVoid && x > 0) own = before[at(x - 1, y)];
+        if (own == kVoid && x + 1 < width_px) own = before[at(x + 1, y)];
+        if (own == kVoid && y > 0) own = before[at(x, y - 1)];
+        if (own == kVoid && y + 1 < height_px) own = before[at(x, y + 1)];
+      }
+    }
+  }
+  std::vector<std::uint8_t> beside(truth.size(), 0);
+  constexpr std::int32_t kReach = LabelDetail::kBorder_px;
+  const auto mark = [&](std::int32_t column, std::int32_t row) {
+    for (std::int32_t y = std::max(0, row - kReach); y <= std::min(height_px - 1, row + kReach); ++y) {
+      const std::int32_t dy = y - row;
+      const auto dx = static_cast<std::int32_t>(std::sqrt(kReach * kReach - dy * dy));
+      std::fill(beside.begin() + static_cast<std::ptrdiff_t>(at(std::max(0, column - dx), y)),
+                beside.begin() + static_cast<std::ptrdiff_t>(at(std::min(width_px - 1, column + dx), y)) + 1, 1);
+    }
+  };
+  for (std::int32_t y = 0; y < height_px; ++y) {
+    for (std::int32_t x = 0; x < width_px; ++x) {
+      const std::int16_t own = grown[at(x, y)];
+      const auto differs = [&](std::int32_t column, std::int32_t row) {
+        const std::int16_t other = grown[at(column, row)];
+        return own != kVoid && other != kVoid && own != other;
+      };
+      if ((x + 1 < width_px && differs(x + 1, y)) || (y + 1 < height_px && differs(x, y + 1))) mark(x, y);
+    }
+  }
+  return beside;
+}
+
+void LabelDetail::add(std::span<const std::int16_t> truth, std::span<const std::int16_t> predicted,
+                      std::int32_t width_px) {
+  SEMFIELD_CHECK(truth.size() == predicted.size() && std::ssize(truth) % width_px == 0, "whole maps of one size");
+  const std::vector<std::uint8_t> beside = beside_borders(truth, width_px);
+  std::vector<std::int16_t> near(truth.begin(), truth.end());
+  for (std::size_t i = 0; i < near.size(); ++i)
+    if (beside[i] == 0) near[i] = kVoid;
+  border.add(near, predicted);
+  JoinedSets pieces(truth.size());
+  const auto width = static_cast<std::size_t>(width_px);
+  for (std::size_t i = 0; i < predicted.size(); ++i) {
+    if (i % width > 0 && predicted[i] == predicted[i - 1]) pieces.join(i, i - 1);
+    if (i >= width && predicted[i] == predicted[i - width]) pieces.join(i, i - width);
+  }
+  std::vector<std::int64_t> area(truth.size(), 0);
+  for (std::size_t i = 0; i < truth.size(); ++i) ++area[pieces.of(i)];
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    if (truth[i] == kVoid) continue;
+    ++labelled_;
+    const bool small = area[pieces.of(i)] * kSpecksOfImage < std::ssize(truth);
+    in_specks_ += small && predicted[i] != truth[i] ? 1 : 0;
+  }
+}
+
+void LabelDetail::merge(const LabelDetail& other) {
+  border.merge(other.border);
+  in_specks_ += other.in_specks_;
+  labelled_ += other.labelled_;
+}
+
+std::optional<double> LabelDetail::specks() const {
+  if (labelled_ == 0) return std::nullopt;
+  return static_cast<double>(in_specks_) / static_cast<double>(labelled_);
 }
 
 void ColorError::add(std::span<const float> truth, std::span<const float> predicted) {

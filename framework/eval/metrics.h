@@ -55,6 +55,28 @@ class ConfusionMatrix {
   std::int64_t void_predicted_ = 0;
 };
 
+/// Where labels are hardest: beside borders between classes, and in specks.
+class LabelDetail {
+ public:
+  static constexpr std::int32_t kBorder_px = 8;        ///< counts as beside a border
+  static constexpr std::int32_t kGap_px = 4;           ///< void between two classes up to twice as wide is a border too
+  static constexpr std::int64_t kSpecksOfImage = 100;  ///< a connected piece below this part of the image is a speck
+  explicit LabelDetail(int classes) : border(classes) {}
+  /// Whole maps, row by row, of one image `width_px` wide.
+  void add(std::span<const std::int16_t> truth, std::span<const std::int16_t> predicted, std::int32_t width_px);
+  void merge(const LabelDetail& other);
+  /// Wrong pixels in specks of the predicted labels, as a share of those with a true label.
+  std::optional<double> specks() const;
+
+  ConfusionMatrix border;  ///< of the pixels beside borders
+
+ private:
+  std::int64_t in_specks_ = 0, labelled_ = 0;
+};
+
+/// [H * W] 1 beside a border of the truth (LabelDetail).
+std::vector<std::uint8_t> beside_borders(std::span<const std::int16_t> truth, std::int32_t width_px);
+
 /// Pooled squared colour error: PSNR = -10 log10(MSE over all values of the split), colours in [0, 1].
 class ColorError {
  public:

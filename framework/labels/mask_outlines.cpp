@@ -434,19 +434,26 @@ PixelRegions regions_of(const std::vector<std::int16_t>& label, std::int32_t wid
 SmallRegions fill_small_regions(std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height,
                                 std::int64_t min_area_px) {
   SEMFIELD_CHECK(std::ssize(label) == std::int64_t{width} * height, "a label map has a label for each pixel");
-  SmallRegions found;
   const PixelRegions regions = regions_of(label, width, height);
-  for (const std::int64_t pixels : regions.pixels) {
-    if (pixels >= min_area_px) continue;
+  std::vector<bool> small;
+  for (const std::int64_t pixels : regions.pixels) small.push_back(pixels < min_area_px);
+  return fill_regions(label, width, height, regions, small);
+}
+
+SmallRegions fill_regions(std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height,
+                          const PixelRegions& regions, const std::vector<bool>& weak) {
+  SmallRegions found;
+  for (std::size_t r = 0; r < weak.size(); ++r) {
+    if (!weak[r]) continue;
     ++found.regions;
-    found.pixels += pixels;
+    found.pixels += regions.pixels[r];
   }
   if (found.pixels == std::ssize(label)) return {};
-  // Larger regions grow into the small ones from all sides, a pixel at a time: what they fill is connected to them.
+  // The others grow into them from all sides, a pixel at a time: what they fill is connected to them.
   std::vector<bool> small(label.size());
   std::vector<std::int64_t> queue;
   for (std::size_t i = 0; i < label.size(); ++i) {
-    small[i] = regions.pixels[regions.of_pixel[i]] < min_area_px;
+    small[i] = weak[regions.of_pixel[i]];
     if (!small[i]) queue.push_back(static_cast<std::int64_t>(i));
   }
   for (std::size_t next = 0; next < queue.size(); ++next) {

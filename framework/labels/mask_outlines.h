@@ -100,5 +100,8 @@ struct SmallRegions {
 /// class, and no smaller region is left. A map of small regions alone stays as it is.
 SmallRegions fill_small_regions(std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height,
                                 std::int64_t min_area_px);
+/// The same for the regions that `weak` [regions] marks.
+SmallRegions fill_regions(std::vector<std::int16_t>& label, std::int32_t width, std::int32_t height,
+                          const PixelRegions& regions, const std::vector<bool>& weak);
 
 }  // namespace semfield

@@ -98,10 +98,10 @@ class Labels(ProgramCase):
             self.ok(f"labels export run --split train --set scene.load.downscale=2 --size {size} --out half.json")
             self.assertEqual(json.loads((self.dir / "half.json").read_text())["images"][0]["width"], width)
         # No region of the exported labels is smaller than asked.
-        calm = self.ok("labels export run --split train --min-area 30 --format coco --out calm.json")
-        self.has(calm.err, " regions of fewer than 30 pixels")
+        calm = self.ok("labels export run --split train --min-area 90 --format coco --out calm.json")
+        self.has(calm.err, " regions of fewer than 90 pixels")
         regions = json.loads((self.dir / "calm.json").read_text())["annotations"]
-        self.assertGreaterEqual(min(region["area"] for region in regions), 30)
+        self.assertGreaterEqual(min(region["area"] for region in regions), 90)
         self.has(self.semfield("labels export run --format coc --out x.json").err, "coco?", "[usage.value.invalid]")
 
     def test_probabilities_and_fused_maps_are_as_shown(self):

@@ -184,12 +184,12 @@ TEST_F(SweepFile, ShippedExperimentsArePlanned) {
   int files = 0;
   for (const auto& entry : fs::directory_iterator(experiments)) files += entry.is_regular_file() ? 1 : 0;
   const Sweep gpu = read_sweep((experiments / "gpu.yaml").string());
-  EXPECT_EQ(static_cast<int>(all.experiments.size() + gpu.experiments.size()), files - 5)
+  EXPECT_EQ(static_cast<int>(all.experiments.size() + gpu.experiments.size()), files - 6)
       << "all.yaml and gpu.yaml list every experiment, but for propagate.yaml, which needs the labels of first runs, "
-         "and "
-         "objects.yaml, which is not of the method";
+         "objects.yaml, which is not of the method, and real_labels.yaml, which needs a real room";
   EXPECT_EQ(plan_cells(read_sweep((experiments / "objects.yaml").string()), registry_).size(), 63u);
   EXPECT_EQ(plan_cells(read_sweep((experiments / "propagate.yaml").string()), registry_).size(), 5u);
+  EXPECT_EQ(plan_cells(read_sweep((experiments / "real_labels.yaml").string()), registry_).size(), 96u);
   EXPECT_EQ(plan_cells(gpu, registry_).size(), 216u);
   EXPECT_GT(plan_cells(all, registry_).size(), 100u);
   EXPECT_GT(plan_cells(read_sweep((experiments / "all_paper.yaml").string()), registry_).size(), 100u);

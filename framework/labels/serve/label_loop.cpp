@@ -17,8 +17,8 @@
 #include "core/check.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
+#include "eval/photo_edges.h"
 #include "execution/render_rays.h"
-#include "labels/serve/view_pictures.h"
 
 namespace semfield {
 
@@ -628,18 +628,33 @@ std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> click
   return held;
 }
 
-ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
+ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine, const Image<std::uint8_t>* photo) {
   PoolView& view = views_[static_cast<std::size_t>(v)];
   if (static_cast<std::size_t>(v) >= pooled_ && ready() && due(view)) view.map = map_of(v, stride_);
   const SurfaceMap& map = fine != nullptr ? *fine : view.map;
-  CoarseLabels coarse{map.stride, map.width_px, map.height_px, {}, {}};
-  coarse.label.assign(map.distance_m.size(), kVoid);
-  coarse.entropy.assign(map.distance_m.size(), 0);
+  const Camera& camera = view.camera.camera;
+  ViewLabels labels{camera.width_px, camera.height_px, {}, {}};
+  std::span<const std::uint8_t> rgb = view.photo->rgb;
+  if (photo != nullptr) {
+    labels.width_px = photo->width_px;
+    labels.height_px = photo->height_px;
+    rgb = photo->pixels;
+  }
+  const auto size = static_cast<std::size_t>(std::int64_t{labels.width_px} * labels.height_px);
+  labels.label.assign(size, kVoid);
+  labels.entropy.assign(size, 0);
   if (learned_ && !map.empty()) {
+    // A last column says that the view meets nothing.
+    const auto width = static_cast<std::size_t>(classes());
+    std::vector<float> rows((width + 1) * map.distance_m.size(), 0);
     std::vector<Vec3d> positions;
     std::vector<std::size_t> where;
     for (std::size_t i = 0; i < map.distance_m.size(); ++i) {
-      if (map.distance_m[i] > 0) where.push_back(i);
+      if (map.distance_m[i] > 0) {
+        where.push_back(i);
+      } else {
+        rows[(width + 1) * i + width] = 1;
+      }
     }
     positions.resize(where.size());
     for_each_index(where.size(), [&](std::size_t k) {
@@ -648,31 +663,44 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
           point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
     });
     const std::vector<float> probability = probabilities(point_rows(pipeline_, positions), positions, temperature_);
-    const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
-    const auto width = static_cast<std::size_t>(classes());
-    const double most = most_entropy();
     for_each_index(where.size(), [&](std::size_t k) {
-      const std::span<const float> row(&probability[k * width], width);
-      const std::ptrdiff_t best = std::max_element(row.begin(), row.end()) - row.begin();
-      coarse.label[where[k]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(best)]);
-      coarse.entropy[where[k]] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, entropy_nats(row) / most)));
+      std::copy_n(probability.begin() + static_cast<std::ptrdiff_t>(k * width), width,
+                  rows.begin() + static_cast<std::ptrdiff_t>((width + 1) * where[k]));
     });
+    ClassEvidence evidence{map.stride, map.width_px, map.height_px, rows, {}, camera.width_px, camera.height_px};
+    for (const int c : training_.session().plan.class_of_logit) evidence.label.push_back(static_cast<std::int16_t>(c));
+    evidence.label.push_back(kVoid);
+    PhotoLabels found = labels_on_photo(evidence, rgb, labels.width_px, labels.height_px);
+    labels.label = std::move(found.label);
+    const double most = most_entropy();
+    for (std::size_t i = 0; i < size; ++i)
+      if (labels.label[i] != kVoid)
+        labels.entropy[i] =
+            static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, static_cast<double>(found.entropy[i]) / most)));
   }
-  ViewLabels labels = upsampled(coarse, *view.photo);
-  for (const LabelledPixels& click : clicks_) {
-    if (click.view != v) continue;
-    for (const PixelPlace& pixel : click.pixels) {
-      const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * labels.width_px + pixel.column);
-      labels.label[at] = click.class_index;
-      labels.entropy[at] = 0;
-    }
-  }
+  // Pixels of the frame in those of the picture.
+  const auto paint = [&](std::int64_t column, std::int64_t row, std::int16_t label) {
+    const auto first = [](std::int64_t at, std::int32_t picture, std::int32_t frame) { return at * picture / frame; };
+    for (std::int64_t y = first(row, labels.height_px, camera.height_px);
+         y < std::max(first(row, labels.height_px, camera.height_px) + 1,
+                      first(row + 1, labels.height_px, camera.height_px));
+         ++y)
+      for (std::int64_t x = first(column, labels.width_px, camera.width_px);
+           x < std::max(first(column, labels.width_px, camera.width_px) + 1,
+                        first(column + 1, labels.width_px, camera.width_px));
+           ++x) {
+        const auto at = static_cast<std::size_t>(y * labels.width_px + x);
+        labels.label[at] = label;
+        labels.entropy[at] = 0;
+      }
+  };
+  for (const LabelledPixels& click : clicks_)
+    for (const PixelPlace& pixel : click.view == v ? click.pixels : std::vector<PixelPlace>())
+      paint(pixel.column, pixel.row, click.class_index);
   const std::vector<bool>& ignored = ignored_[static_cast<std::size_t>(v)];
-  for (std::size_t p = 0; p < ignored.size(); ++p) {
-    if (!ignored[p]) continue;
-    labels.label[p] = kVoid;
-    labels.entropy[p] = 0;
-  }
+  for (std::size_t p = 0; p < ignored.size(); ++p)
+    if (ignored[p])
+      paint(static_cast<std::int64_t>(p) % camera.width_px, static_cast<std::int64_t>(p) / camera.width_px, kVoid);
   return labels;
 }
 

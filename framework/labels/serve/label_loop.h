@@ -14,6 +14,7 @@
 
 #include "core/small_math.h"
 #include "execution/pipeline.h"
+#include "formats/image_io.h"
 #include "labels/clicks.h"
 #include "labels/serve/proposals.h"
 #include "surface/surface_graph.h"
@@ -117,7 +118,7 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
 inline constexpr std::size_t kMostClickPixels = 9;
 inline bool is_stroke(const LabelledPixels& named) { return named.pixels.size() > kMostClickPixels; }
 
-/// Labels of a view at its full size.
+/// Labels of a view, as large as the photograph that they cling to.
 struct ViewLabels {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::int16_t> label;    ///< class indices, kVoid where the view meets nothing
@@ -175,8 +176,9 @@ class LabelLoop {
   const std::vector<float>& pool_probability() const { return pool_probability_; }
   std::int32_t classes() const { return point_classes(pipeline_); }
 
-  /// By the view's map, or by `fine` where it is given. Pixels that somebody has named are what they were named.
-  ViewLabels labels_of(int view, const SurfaceMap* fine = nullptr);
+  /// By the view's map, or by `fine` where it is given, along the edges of the photograph that trains, or of `photo` of
+  /// another size (eval/photo_edges.h). Pixels that somebody has named are what they were named.
+  ViewLabels labels_of(int view, const SurfaceMap* fine = nullptr, const Image<std::uint8_t>* photo = nullptr);
   /// Of a view at another stride than that of its own map.
   SurfaceMap map_of(int view, std::int32_t stride);
 

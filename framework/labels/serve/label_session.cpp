@@ -397,7 +397,7 @@ LabelSession::LabelSession(LabelledRun labelled_run)
     : run_(std::move(labelled_run.run)),
       training_(run_->training()),
       loop_(training_, opened().drawn_frames(), {}, held_out_frames(opened())),
-      pictures_(training_, loop_),
+      pictures_(training_, loop_, [this](int view, std::int32_t most_px) { return photo(view, most_px); }),
       view_of_frame_(opened().scene.frames.size(), -1),
       named_(view_of_frame_.size()),
       marked_(view_of_frame_.size(), 0),

@@ -11,6 +11,7 @@
 
 #include "compute/parallel.h"
 #include "core/files.h"
+#include "eval/photo_edges.h"
 #include "formats/image_io.h"
 #include "labels/serve/label_loop.h"
 
@@ -21,7 +22,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kFineViews = 12;
-constexpr double kFinePixels = 100'000;  // of a view's own surface: more would make its labels slow
+constexpr double kFinePixels = 100'000;   // of a view's own surface: more would make its labels slow
+constexpr double kPhotoPixels = 800'000;  // of a photograph that labels cling to: more would make them slow
 constexpr double kQuickPicture_s = 0.15;
 constexpr double kLeastRays = 48.0 * 48;  // of a picture
 
@@ -30,9 +32,17 @@ std::int32_t fine_stride(const Camera& camera) {
   return std::max(1, static_cast<std::int32_t>(std::ceil(std::sqrt(pixels / kFinePixels))));
 }
 
+// From the frame's pixels to the picture's.
+void scale_marks(Picture& picture, const Camera& frame) {
+  for (SeenMark& mark : picture.seen)
+    for (PixelPoint& p : mark.points)
+      p = {p.x * picture.width_px / frame.width_px, p.y * picture.height_px / frame.height_px};
+}
+
 }  // namespace
 
-ViewPictures::ViewPictures(Trainer& training, LabelLoop& loop) : training_(training), loop_(loop) {}
+ViewPictures::ViewPictures(Trainer& training, LabelLoop& loop, PhotoReader read_photo)
+    : training_(training), loop_(loop), read_photo_(std::move(read_photo)) {}
 
 Picture ViewPictures::make(const PictureRequest& request) {
   if (request.view < 0 || request.view >= std::ssize(loop_.views()))
@@ -50,7 +60,7 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
   const auto known = std::find_if(fine_.begin(), fine_.end(), [&](const Fine& f) { return f.view == request.view; });
   if (known == fine_.end()) {
     const Camera& camera = view.camera.camera;
-    Fine& fresh = *fine_.insert(fine_.begin(), Fine{.view = request.view, .map = {}});
+    Fine& fresh = *fine_.insert(fine_.begin(), Fine{.view = request.view, .map = {}, .photo = {}});
     fresh.map.stride = fine_stride(camera);
     fresh.map.width_px = strided_px(camera.width_px, fresh.map.stride);
     fresh.map.height_px = strided_px(camera.height_px, fresh.map.stride);
@@ -60,7 +70,9 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
     std::rotate(fine_.begin(), known, known + 1);
   }
   const Fine& fine = fine_.front();
-  ViewLabels labels = loop_.labels_of(request.view, fine.map.step > 0 ? &fine.map : nullptr);
+  const bool larger = fine.photo && !fine.photo->pixels.empty();
+  ViewLabels labels =
+      loop_.labels_of(request.view, fine.map.step > 0 ? &fine.map : nullptr, larger ? &*fine.photo : nullptr);
   Picture picture;
   picture.width_px = labels.width_px;
   picture.height_px = labels.height_px;
@@ -68,6 +80,7 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
     picture.label = std::move(labels.label);
     const bool is_fine = fine.complete() && fine.map.step > 0;
     picture.seen = seen_by(request.view, is_fine ? fine.map : view.map);
+    scale_marks(picture, view.camera.camera);
   }
   if (request.entropy) picture.entropy = std::move(labels.entropy);
   return picture;
@@ -77,9 +90,32 @@ std::vector<SeenMark> ViewPictures::seen_by(int view, const SurfaceMap& map) con
   return marks_seen(marks_, map, view, loop_.views(), training_.session().limits, tolerance_m());
 }
 
+// Without pixels where the one that trains is as large, or where it cannot be read: the page shows that one then too.
+Image<std::uint8_t> ViewPictures::larger_photo(int view) const {
+  const StoredFrame& trained = *loop_.view(view).photo;
+  const double side = std::max(trained.width_px, trained.height_px);
+  const double shape = static_cast<double>(trained.width_px) * trained.height_px / (side * side);
+  const auto most_px = static_cast<std::int32_t>(std::sqrt(kPhotoPixels / shape));
+  try {
+    Image<std::uint8_t> photo = read_photo_(view, most_px);
+    if (std::max(photo.width_px, photo.height_px) > most_px) {
+      const double scale = static_cast<double>(most_px) / std::max(photo.width_px, photo.height_px);
+      photo = resize_area(photo, std::max(1, static_cast<std::int32_t>(photo.width_px * scale)),
+                          std::max(1, static_cast<std::int32_t>(photo.height_px * scale)));
+    }
+    if (photo.width_px > trained.width_px) return photo;
+  } catch (const Error&) {
+  }
+  return {};
+}
+
 bool ViewPictures::refine(double budget_s) {
   if (fine_.empty() || !loop_.ready()) return false;
   Fine& fine = fine_.front();
+  if (!fine.photo) {
+    fine.photo = larger_photo(fine.view);
+    if (!fine.photo->pixels.empty()) return true;
+  }
   const bool stale = is_stale(fine.map, training_.step());
   if (fine.complete()) {
     if (!stale) return false;
@@ -116,7 +152,14 @@ Picture ViewPictures::rendered(const PictureRequest& request) {
                             std::max(1, static_cast<std::int32_t>(camera.height_px * scale)));
   }
   const Clock::time_point begun = Clock::now();
-  const RenderedFrame frame = render_frame(*session.pipeline, seen_from, session.limits, session.plan.class_of_logit);
+  const bool semantics = session.pipeline->has_semantics() && loop_.learned();
+  FrameOptions wanted;
+  wanted.probability = semantics && request.full && request.labels;
+  wanted.classes = session.classes();
+  RenderedFrame frame =
+      render_frame(*session.pipeline, seen_from, session.limits, session.plan.class_of_logit, {}, wanted);
+  if (wanted.probability)
+    frame.label = labels_on_photo(frame, wanted.classes, view.photo->rgb, frame.width_px, frame.height_px).label;
   rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays() / std::max(seconds_since(begun), 1e-6);
   Picture picture;
   picture.width_px = camera.width_px;
@@ -125,12 +168,9 @@ Picture ViewPictures::rendered(const PictureRequest& request) {
     picture.rgb.push_back(static_cast<std::uint8_t>(std::lround(value * 255)));
   if (request.labels) {
     picture.seen = seen_by(request.view, view.map);
-    for (SeenMark& mark : picture.seen)
-      for (PixelPoint& p : mark.points)
-        p = {p.x * camera.width_px / view.camera.camera.width_px,
-             p.y * camera.height_px / view.camera.camera.height_px};
+    scale_marks(picture, view.camera.camera);
   }
-  if (!session.pipeline->has_semantics() || !loop_.learned()) return picture;
+  if (!semantics) return picture;
   std::vector<bool> live(static_cast<std::size_t>(session.classes()), false);
   for (std::size_t l = 0; l < loop_.live().size(); ++l)
     if (loop_.live()[l]) live[static_cast<std::size_t>(session.plan.class_of_logit[l])] = true;
@@ -201,85 +241,9 @@ std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const
 
 namespace {
 
-constexpr float kColorSigma = 16;    // of 255
 constexpr double kSameShape = 0.02;  // of the ratio of the sides: sizes are rounded to pixels
 
-// exp(-d^2 / 2 s^2) of a squared difference of colours, by its root.
-std::array<float, 512> color_weights() {
-  std::array<float, 512> table{};
-  for (std::size_t i = 0; i < table.size(); ++i) {
-    const auto d = static_cast<float>(i);
-    table[i] = std::exp(-0.5F * d * d / (kColorSigma * kColorSigma)) + 1e-6F;
-  }
-  return table;
-}
-
 }  // namespace
-
-ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo) {
-  ViewLabels out;
-  out.width_px = photo.width_px;
-  out.height_px = photo.height_px;
-  const std::int32_t width = photo.width_px, stride = coarse.stride;
-  const auto size = static_cast<std::size_t>(std::int64_t{width} * photo.height_px);
-  out.label.assign(size, kVoid);
-  out.entropy.assign(size, 0);
-  if (coarse.label.empty()) return out;
-  if (stride == 1) {
-    out.label = coarse.label;
-    out.entropy = coarse.entropy;
-    return out;
-  }
-  static const std::array<float, 512> weights = color_weights();
-  const auto color = [&](std::int32_t x, std::int32_t y) {
-    return &photo.rgb[3 * static_cast<std::size_t>(std::int64_t{y} * width + x)];
-  };
-  parallel_for(photo.height_px, [&](std::int64_t row) {
-    const auto y = static_cast<std::int32_t>(row);
-    const float v = (static_cast<float>(y) - static_cast<float>(stride / 2)) / static_cast<float>(stride);
-    const auto y0 = static_cast<std::int32_t>(std::floor(v));
-    for (std::int32_t x = 0; x < width; ++x) {
-      const float u = (static_cast<float>(x) - static_cast<float>(stride / 2)) / static_cast<float>(stride);
-      const auto x0 = static_cast<std::int32_t>(std::floor(u));
-      const std::uint8_t* const own = color(x, y);
-      std::array<std::int16_t, 4> label{};
-      std::array<float, 4> weight{};
-      float entropy = 0, sum = 0;
-      for (int k = 0; k < 4; ++k) {
-        const std::int32_t cx = std::clamp(x0 + (k & 1), 0, coarse.width_px - 1),
-                           cy = std::clamp(y0 + (k >> 1), 0, coarse.height_px - 1);
-        const std::uint8_t* const other = color(cx * stride + stride / 2, cy * stride + stride / 2);
-        float square = 0;
-        for (int c = 0; c < 3; ++c) {
-          const auto d = static_cast<float>(int{own[c]} - int{other[c]});
-          square += d * d;
-        }
-        const float near_x = 1 - std::abs(u - static_cast<float>(x0 + (k & 1))),
-                    near_y = 1 - std::abs(v - static_cast<float>(y0 + (k >> 1)));
-        const auto at = static_cast<std::size_t>(std::int64_t{cy} * coarse.width_px + cx);
-        const auto n = static_cast<std::size_t>(k);
-        weight[n] = (near_x * near_y + 0.02F) * weights[static_cast<std::size_t>(std::sqrt(square))];
-        label[n] = coarse.label[at];
-        entropy += weight[n] * static_cast<float>(coarse.entropy[at]);
-        sum += weight[n];
-      }
-      float best = -1;
-      std::int16_t chosen = kVoid;
-      for (std::size_t a = 0; a < 4; ++a) {
-        float votes = 0;
-        for (std::size_t b = 0; b < 4; ++b) votes += label[b] == label[a] ? weight[b] : 0.0F;
-        if (votes > best) {
-          best = votes;
-          chosen = label[a];
-        }
-      }
-      const auto at = static_cast<std::size_t>(std::int64_t{y} * width + x);
-      out.label[at] = chosen;
-      out.entropy[at] = static_cast<std::uint8_t>(std::lround(entropy / sum));
-    }
-  });
-  return out;
-}
 
 std::optional<StoredSize> stored_size_of(const FrameInfo& frame) {
   if (!is_file(frame.source)) return std::nullopt;
@@ -290,19 +254,7 @@ std::optional<StoredSize> stored_size_of(const FrameInfo& frame) {
   if (std::abs(x / y - 1) > kSameShape || (stored.width_px <= camera.width_px && stored.height_px <= camera.height_px))
     return std::nullopt;
   return StoredSize{camera.resized(stored.width_px, stored.height_px),
-                    std::max(1, static_cast<std::int32_t>(std::lround(std::sqrt(x * y)))), frame.source};
-}
-
-std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered) {
-  if (size.stride == 1) return std::move(rendered.label);
-  StoredFrame photo;
-  Image<std::uint8_t> image = read_rgb(size.image);
-  photo.width_px = image.width_px;
-  photo.height_px = image.height_px;
-  photo.rgb = std::move(image.pixels);
-  CoarseLabels coarse{size.stride, rendered.width_px, rendered.height_px, std::move(rendered.label), {}};
-  coarse.entropy.assign(coarse.label.size(), 0);
-  return upsampled(coarse, photo).label;
+                    std::max(1, static_cast<std::int32_t>(std::lround(std::sqrt(x * y))))};
 }
 
 }  // namespace semfield

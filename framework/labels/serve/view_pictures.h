@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -58,10 +59,13 @@ std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const
 /// Made by the thread that trains.
 class ViewPictures {
  public:
-  ViewPictures(Trainer& training, LabelLoop& loop);
+  /// A photograph of a view, as large as there is one up to so many pixels of its longer side.
+  using PhotoReader = std::function<Image<std::uint8_t>(int view, std::int32_t most_px)>;
+  ViewPictures(Trainer& training, LabelLoop& loop, PhotoReader read_photo);
 
-  /// Labels of the view's surface at its own size; with colour it is rendered, as large as it can be soon, and
-  /// `full` whole, however long that takes. Throws Error(usage) for a view that is not there.
+  /// Labels of the view's surface at its photograph's size, at first at that of training; with colour it is rendered,
+  /// as large as it can be soon, and `full` whole, however long that takes. Throws Error(usage) for a view that is not
+  /// there.
   Picture make(const PictureRequest& request);
 
   /// Clicks that pictures of other views show.
@@ -75,7 +79,8 @@ class ViewPictures {
   struct Fine {
     int view = 0;
     SurfaceMap map;
-    std::int64_t done = 0;  ///< pixels
+    std::int64_t done = 0;                     ///< pixels
+    std::optional<Image<std::uint8_t>> photo;  ///< larger than the one that trains; without pixels where there is none
     bool complete() const { return done == static_cast<std::int64_t>(map.distance_m.size()); }
   };
   Picture labels_of_view(const PictureRequest& request);
@@ -83,43 +88,27 @@ class ViewPictures {
   // How far from the surface what lies on it may seem to be.
   double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
   Picture rendered(const PictureRequest& request);
+  Image<std::uint8_t> larger_photo(int view) const;
 
   Trainer& training_;
   LabelLoop& loop_;
+  PhotoReader read_photo_;
   std::vector<Fine> fine_;  // the one looked at last comes first
   double rays_per_s_ = 60'000;
   std::vector<Annotations::Mark> marks_;
 };
 
-// Labels of every s-th pixel of a view, brought to its full size along the edges of the photograph, or to the size
-// of its stored image, which training may have made smaller.
-
-struct ViewLabels;
-
-/// Maps [height * width] of every `stride`-th pixel (eval/evaluator.h).
-struct CoarseLabels {
-  std::int32_t stride = 1, width_px = 0, height_px = 0;
-  std::vector<std::int16_t> label;
-  std::vector<std::uint8_t> entropy;
-};
-
-/// A pixel takes the label with the most weight among its four neighbours in the coarse map, weighted bilinearly and by
-/// how near their colours are to its own [Kopf07]; its entropy is their weighted mean.
-ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo);
+// Labels at the size of a view's stored image, which training may have made smaller.
 
 /// Labels are rendered at every `stride`-th pixel of the stored image, about as many as training saw, and brought to
-/// the others along its edges (upsampled).
+/// the others along its edges (eval/photo_edges.h).
 struct StoredSize {
   Camera camera;            ///< of the stored image
   std::int32_t stride = 1;  ///< FrameOptions::stride
-  std::string image;        ///< its file
 };
 
 /// None for a frame of that size already, one without an image file, and one whose file has another shape, such as one
 /// that is turned by its EXIF data.
 std::optional<StoredSize> stored_size_of(const FrameInfo& frame);
-
-/// `rendered`: by `size`'s camera and stride. Labels [height * width] of the stored image; throws as read_rgb.
-std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered);
 
 }  // namespace semfield
