@@ -639,7 +639,7 @@ TEST(Units, CellsOfASurfaceAndObjects) {
     std::vector<Vec3d> position;
     for (const PoolPoint& point : pool.points) position.push_back(point.position);
     const std::vector<std::int32_t> id(position.size(), 1);
-    measure_objects(rows, position, id, pool.cell_m());
+    measure_objects(rows, position, id, pool.cell_m(), std::nullopt);
     return std::pair(static_cast<double>(rows[0].points), rows[0].area / room.unit / room.unit);
   };
   const auto meant = pooled(metres(), 0);

@@ -178,6 +178,7 @@ TEST_F(EditedBlocks, PlacesOffThePointsTakeWhatIsNear) {
 
 TEST_F(EditedBlocks, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   const TempDir dir;
+  set.up = Vec3d{0, 0, 1};
   write_object_set(dir / "found.safetensors", set);
   ObjectEdits edits{set.digest(),
                     {edit(R"({"do": "merge", "objects": [1, 3]})"),
@@ -189,6 +190,8 @@ TEST_F(EditedBlocks, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   const EditedObjects read = read_edited_objects(dir.path(), 2);
   EXPECT_EQ(read.set.id, set.id);
   EXPECT_EQ(read.set.position, set.position);
+  EXPECT_EQ(read.set.up, set.up);
+  EXPECT_EQ(read.set.rows[1].box.axis[2], *set.up);
   EXPECT_EQ(read.set.class_of, set.class_of);
   EXPECT_EQ(read.set.about, set.about);
   ASSERT_EQ(read.set.rows.size(), set.rows.size());

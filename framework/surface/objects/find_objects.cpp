@@ -16,6 +16,7 @@
 #include "labels/clicks.h"
 #include "labels/label_files.h"
 #include "scene/classes/class_table.h"
+#include "surface/mesh/surface.h"
 #include "surface/objects/object_set.h"
 #include "surface/surface_graph.h"
 
@@ -99,6 +100,9 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   const PointClasses classes = classes_of_points(session, positions, sights);
   found.class_of = classes.most_probable();
   ClickedObjects told;
+  std::vector<Pose> poses;
+  for (const PoolView& view : found.surface.views) poses.push_back(view.camera.world_from_camera);
+  found.up = up_of_cameras(poses);
   if (clicked) {
     told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks, kLeastClicked);
     found.id = told.id;
@@ -131,7 +135,7 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
     found.id = cluster_points(pool, {place, {stuff.get(), positions.size()}}, sights, rules);
     for (std::int32_t& id : found.id) ++id;
   }
-  found.rows = object_table(found.surface, found.id, sights, classes, found.stuff);
+  found.rows = object_table(found.surface, found.id, sights, classes, found.stuff, found.up);
   for (std::size_t k = 0; k < told.class_of.size(); ++k) found.rows[k].class_index = told.class_of[k];
   clock.part("groups");
   return found;

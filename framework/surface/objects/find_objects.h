@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <utility>
@@ -19,7 +20,7 @@ namespace semfield {
 /// A box that may be turned: |(p - center) . axis[i]| <= size[i] / 2.
 struct TurnedBox {
   Vec3d center;
-  std::array<Vec3d, 3> axis;  ///< unit vectors of the world, right-handed
+  std::array<Vec3d, 3> axis;  ///< unit vectors of the world, right-handed; the last is up, where that is known
   Vec3d size;                 ///< metres, or the scene's unit
 };
 
@@ -51,9 +52,11 @@ struct FoundObjects {
   std::vector<float> place;            ///< [points, width] of Grouping::place
   std::vector<std::int32_t> id;        ///< [points] object, 0: none
   std::vector<std::int16_t> class_of;  ///< [points] class of the field or of segments, kVoid: not known
-  std::vector<bool> stuff;             ///< [classes] whether the class has no objects
-  std::vector<ObjectRow> rows;         ///< by id, from 1 on without gaps
-  std::vector<std::size_t> unclaimed;  ///< clicks of things that no object came of
+  std::vector<bool> stuff;      ///< [classes] no objects: objects.stuff, and those of no segment if these say theirs
+  std::vector<ObjectRow> rows;  ///< by id, from 1 on without gaps
+  std::optional<Vec3d> up;      ///< up_of_cameras of the views
+  std::int64_t shown = 0;       ///< segments that show on the surface
+  std::vector<std::size_t> unclaimed;                   ///< clicks of things that no object came of
   std::vector<std::pair<std::string, double>> seconds;  ///< of each part of the work
 };
 

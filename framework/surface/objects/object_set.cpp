@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <set>
 #include <span>
 #include <type_traits>
@@ -104,7 +105,7 @@ std::string ObjectSet::digest() const {
 }
 
 ObjectSet object_set(const FoundObjects& found, std::string about) {
-  ObjectSet set{found.surface.pool.cells, {}, {}, found.id, found.class_of, found.rows, std::move(about)};
+  ObjectSet set{found.surface.pool.cells, {}, {}, found.id, found.class_of, found.rows, found.up, std::move(about)};
   for (const PoolPoint& point : found.surface.pool.points) {
     set.position.push_back(point.position);
     std::array<std::uint8_t, 3>& color = set.color.emplace_back();
@@ -133,14 +134,22 @@ void write_object_set(const std::string& path, const ObjectSet& set) {
   std::vector<std::int64_t> place;  // not of the positions: the mean of a cell may be rounded onto its border
   for (std::int32_t c = 0; c < set.cells.count(); ++c)
     place.insert(place.end(), set.cells.place(c).begin(), set.cells.place(c).end());
-  write_safetensors(
-      path,
-      {tensor_ref("cell", {1}, cell), tensor_ref("place", {points, 3}, place),
-       tensor_ref("position", {points, 3}, position), tensor_ref("color", {points, 3}, color),
-       tensor_ref("id", {points}, id), tensor_ref("class", {points}, class_of), tensor_ref("row.views", {rows}, views),
-       tensor_ref("row.class", {rows}, row_class), tensor_ref("row.agreement", {rows}, agreement),
-       tensor_ref("row.class_probability", {rows}, probability)},
-      {{"about", set.about}});
+  std::vector<TensorRef> tensors{tensor_ref("cell", {1}, cell),
+                                 tensor_ref("place", {points, 3}, place),
+                                 tensor_ref("position", {points, 3}, position),
+                                 tensor_ref("color", {points, 3}, color),
+                                 tensor_ref("id", {points}, id),
+                                 tensor_ref("class", {points}, class_of),
+                                 tensor_ref("row.views", {rows}, views),
+                                 tensor_ref("row.class", {rows}, row_class),
+                                 tensor_ref("row.agreement", {rows}, agreement),
+                                 tensor_ref("row.class_probability", {rows}, probability)};
+  std::vector<double> up;
+  if (set.up) {
+    up = {set.up->x, set.up->y, set.up->z};
+    tensors.push_back(tensor_ref("up", {3}, up));
+  }
+  write_safetensors(path, tensors, {{"about", set.about}});
 }
 
 ObjectSet read_object_set(const std::string& path, int classes) {
@@ -182,7 +191,12 @@ ObjectSet read_object_set(const std::string& path, int classes) {
     row.agreement = agreement[o];
     row.views = views[o];
   }
-  measure_objects(set.rows, set.position, set.id, cell);
+  if (file.find("up") != nullptr) {  // earlier versions wrote none
+    const auto up = numbers_of<double>(file, "up", 3, -1.0, 1.0);
+    set.up = Vec3d{up[0], up[1], up[2]};
+    if (!(std::abs(length(*set.up) - 1) < 1e-6)) refuse(path, "'up' is no direction");
+  }
+  measure_objects(set.rows, set.position, set.id, cell, set.up);
   return set;
 }
 
@@ -238,31 +252,81 @@ namespace {
 
 constexpr double kTrim = 0.01;  // of an object's points on each side of its box, which depth throws about
 
-// The box along the principal axes of the points.
-TurnedBox box_of(const std::vector<Vec3d>& points, Vec3d mean) {
+// The least and the greatest place of the points along an axis, without those that are trimmed. `along`: memory.
+std::pair<double, double> extent_of(std::span<const Vec3d> points, Vec3d axis, std::vector<double>& along) {
+  along.clear();
+  for (const Vec3d& p : points) along.push_back(dot(p, axis));
+  const auto cut = static_cast<std::ptrdiff_t>(kTrim * static_cast<double>(along.size()));
+  const auto low = along.begin() + cut, high = along.end() - 1 - cut;
+  std::nth_element(along.begin(), low, along.end());
+  const double least = *low;
+  if (low < high) std::nth_element(low + 1, high, along.end());
+  return {least, *high};
+}
+
+using Axes = std::array<Vec3d, 3>;
+
+// Axes of the rectangle of least area around the points as seen along `up`, the longer side first, and `up`.
+Axes upright_axes(std::span<const Vec3d> all, Vec3d up) {
+  constexpr std::size_t kMost = 2000;  // points that say how it is turned
+  const std::size_t step = all.size() / kMost + 1;
+  std::vector<Vec3d> points;
+  for (std::size_t i = 0; i < all.size(); i += step) points.push_back(all[i]);
+  int least = 0;
+  for (int k = 1; k < 3; ++k) least = std::abs(up[k]) < std::abs(up[least]) ? k : least;
+  Vec3d start{};
+  start[least] = 1;
+  start = normalized(start - up * dot(start, up));
+  const Vec3d beside = cross(up, start);
+  std::vector<double> along;
+  const auto sides = [&](double degrees) {
+    const double a = degrees * std::numbers::pi / 180;
+    const Vec3d x = start * std::cos(a) + beside * std::sin(a), y = cross(up, x);
+    const auto [x0, x1] = extent_of(points, x, along);
+    const auto [y0, y1] = extent_of(points, y, along);
+    return std::tuple{(x1 - x0) * (y1 - y0), x1 - x0 < y1 - y0 ? y : x};
+  };
+  double best = 0;
+  for (const double by : {3.0, 0.25}) {  // degrees, first of all turns, then around the best
+    const double middle = best, around = by == 3 ? 45 : 3;
+    for (double degrees = middle - around; degrees <= middle + around; degrees += by)
+      if (std::get<0>(sides(degrees)) < std::get<0>(sides(best))) best = degrees;
+  }
+  const Vec3d x = std::get<1>(sides(best));
+  return {x, cross(up, x), up};
+}
+
+Axes principal_axes(std::span<const Vec3d> points, Vec3d mean) {
   Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
   for (const Vec3d& p : points) {
     const Eigen::Vector3d way(p.x - mean.x, p.y - mean.y, p.z - mean.z);
     spread += way * way.transpose();
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solved(spread);
-  TurnedBox box;
+  Axes axes;
   for (int k = 0; k < 2; ++k) {
     const Eigen::Vector3d v = solved.eigenvectors().col(2 - k);
-    Eigen::Index largest = 0;
-    v.cwiseAbs().maxCoeff(&largest);
-    const double sign = v(largest) < 0 ? -1 : 1;  // a solver may turn an axis about
-    box.axis[static_cast<std::size_t>(k)] = {sign * v(0), sign * v(1), sign * v(2)};
+    axes[static_cast<std::size_t>(k)] = {v(0), v(1), v(2)};
   }
+  return axes;
+}
+
+TurnedBox box_of(std::span<const Vec3d> points, Vec3d mean, const std::optional<Vec3d>& up) {
+  TurnedBox box;
+  box.axis = up ? upright_axes(points, *up) : principal_axes(points, mean);
+  for (int k = 0; k < (up ? 1 : 2); ++k) {
+    Vec3d& axis = box.axis[static_cast<std::size_t>(k)];
+    int largest = 0;
+    for (int d = 1; d < 3; ++d) largest = std::abs(axis[d]) > std::abs(axis[largest]) ? d : largest;
+    if (axis[largest] < 0) axis = axis * -1.0;  // a box has two ways of each axis, and files always the same
+  }
+  if (up) box.axis[1] = cross(box.axis[2], box.axis[0]);
   box.axis[2] = cross(box.axis[0], box.axis[1]);
-  box.center = mean;
+  box.center = {};
+  std::vector<double> along;
   for (int k = 0; k < 3; ++k) {
     const Vec3d axis = box.axis[static_cast<std::size_t>(k)];
-    std::vector<double> along;
-    for (const Vec3d& p : points) along.push_back(dot(p - mean, axis));
-    std::sort(along.begin(), along.end());
-    const auto cut = static_cast<std::size_t>(kTrim * static_cast<double>(along.size()));
-    const double low = along[cut], high = along[along.size() - 1 - cut];
+    const auto [low, high] = extent_of(points, axis, along);
     box.size[k] = high - low;
     box.center = box.center + axis * ((low + high) / 2);
   }
@@ -272,7 +336,7 @@ TurnedBox box_of(const std::vector<Vec3d>& points, Vec3d mean) {
 }  // namespace
 
 void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position, std::span<const std::int32_t> id,
-                     double cell_m) {
+                     double cell_m, const std::optional<Vec3d>& up) {
   std::vector<std::vector<Vec3d>> points(rows.size());
   for (std::size_t i = 0; i < id.size(); ++i)
     if (id[i] > 0) points[static_cast<std::size_t>(id[i]) - 1].push_back(position[i]);
@@ -286,13 +350,13 @@ void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position,
     Vec3d sum;
     for (const Vec3d& p : points[o]) sum = sum + p;
     row.centroid = sum * (1 / static_cast<double>(row.points));
-    row.box = box_of(points[o], row.centroid);
+    row.box = box_of(points[o], row.centroid, up);
   }
 }
 
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
                                     std::span<const SegmentSights> sights, const PointClasses& classes,
-                                    const std::vector<bool>& stuff) {
+                                    const std::vector<bool>& stuff, const std::optional<Vec3d>& up) {
   const std::int32_t most = id.empty() ? 0 : *std::max_element(id.begin(), id.end());
   std::vector<ObjectRow> rows(static_cast<std::size_t>(most));
   std::vector<std::vector<double>> votes(rows.size(), std::vector<double>(static_cast<std::size_t>(classes.classes)));
@@ -332,7 +396,7 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
   }
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : surface.pool.points) positions.push_back(point.position);
-  measure_objects(rows, positions, id, surface.pool.cell_m());
+  measure_objects(rows, positions, id, surface.pool.cell_m(), up);
   return rows;
 }
 
@@ -542,7 +606,7 @@ class Editing {
   void finish() {
     std::vector<ObjectRow> rows;
     for (const std::int32_t object : changed_) rows.push_back(row(object));
-    measure_objects(rows, set_.position, places_of(changed_), set_.cells.edge_m());
+    measure_objects(rows, set_.position, places_of(changed_), set_.cells.edge_m(), set_.up);
     for (const ObjectRow& one : rows) row(one.id) = one;
     changed_.clear();
   }

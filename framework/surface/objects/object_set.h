@@ -25,6 +25,7 @@ struct ObjectSet {
   std::vector<std::int32_t> id;                    ///< [points] object, 0: none
   std::vector<std::int16_t> class_of;              ///< [points] class index, kVoid: not known
   std::vector<ObjectRow> rows;                     ///< by id from 1 on; one that was merged away has no points
+  std::optional<Vec3d> up;                         ///< FoundObjects::up
   std::string about;                               ///< JSON object: how they were found
 
   /// The object of the surface at a place of the world, 0: none. A place off all points takes the one of those within
@@ -58,16 +59,17 @@ struct PointClasses {
 PointClasses classes_of_points(Session& session, std::span<const Vec3d> positions,
                                std::span<const SegmentSights> sights);
 
-/// Points, area, centroid and box of every row, from points at `position` [N] with ids of rows, or 0. A row without
+/// Points, area, centroid and box of every row, from points at `position` [N] with ids of rows, or 0. Boxes stand
+/// upright on the rectangle of least area, along the points' principal axes where `up` is not known. A row without
 /// points gets a box without size.
 void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position, std::span<const std::int32_t> id,
-                     double cell_m);
+                     double cell_m, const std::optional<Vec3d>& up);
 
 /// A row per object of `id` [N], by id. No object is of a class of `stuff` [classes], however many votes it has; where
 /// all votes are for such, its class is not known.
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
                                     std::span<const SegmentSights> sights, const PointClasses& classes,
-                                    const std::vector<bool>& stuff);
+                                    const std::vector<bool>& stuff, const std::optional<Vec3d>& up);
 
 /// One change. `objects`: one id, or those that are merged, of which the first stays.
 struct ObjectEdit {
