@@ -754,6 +754,27 @@ int run(const ObjectsOptions& options, AppContext& context) {
   const std::optional<ObjectFigures> figures = write_views(options, s, found, files, context);
   Json facts = Json::parse(objects.set.about);
   facts["edits"] = objects.edits.edits.size();
+// Why segments became no object, and what to do about it.
+std::string why_none(const FoundObjects& found, const SegmentSet& segments) {
+  std::ptrdiff_t rays = 0, met = 0;
+  for (const PoolView& view : found.surface.views) {
+    rays += std::ssize(view.map.distance_m);
+    met += std::count_if(view.map.distance_m.begin(), view.map.distance_m.end(), [](float d) { return d > 0; });
+  }
+  const std::ptrdiff_t stuff = std::count_if(found.class_of.begin(), found.class_of.end(), [&](std::int16_t c) {
+    return c != kVoid && found.stuff[static_cast<std::size_t>(c)];
+  });
+  std::string why =
+      "the surfaces of different views do not meet; train longer, or lower objects.neighbours and objects.least_points";
+  if (2 * met < rays)
+    why = fmt::format("only {} of 100 rays meet a surface, the others meet fog; train longer, or with depth",
+                      100 * met / rays);
+  else if (10 * stuff > 9 * std::ssize(found.class_of))
+    why = "nearly all of the surface is of classes without objects; check objects.stuff and the classes of segments";
+  return fmt::format("none of {} segments became an object: {} show on the surface, and {}", segments.count(),
+                     found.shown, why);
+}
+
   if (figures) facts["score"] = figures_json(*figures);
   files.finish();
   objects.set.about = facts.dump();
@@ -778,6 +799,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
   print_next(context, next_of_look(options.run));
   return 0;
 }
+  if (found.rows.empty()) print_note(context, why_none(found, segments));
 
 }  // namespace
 

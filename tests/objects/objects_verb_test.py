@@ -80,6 +80,9 @@ class Objects(ProgramCase):
         self.ended(f"objects run --segments segments --score --out scored {QUICK}", 65, "[objects.truth.none]")
         self.assertFalse((self.dir / "scored").exists(), "refused before anything is written")
 
+        none = self.ok(f"objects run --segments segments --set objects.least_points=100000 {QUICK} --out none")
+        self.has(none.out + none.err, "objects=0", "segments became an object", "show on the surface",
+                 "objects.least_points")
     def test_things_that_a_person_clicks(self):
         self.trained()
         maps = {name: png_bytes(file) for name, file in self.views().items() if int(name[5:]) % 4 != 3}

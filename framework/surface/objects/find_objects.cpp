@@ -105,6 +105,7 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   found.up = up_of_cameras(poses);
   if (clicked) {
     told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks, kLeastClicked);
+  for (const SegmentSights& view : sights) found.shown += view.segments();
     found.id = told.id;
     found.unclaimed = told.unclaimed;
     if (std::all_of(found.id.begin(), found.id.end(), [](std::int32_t id) { return id == 0; }))
