@@ -608,8 +608,23 @@ PluginSlot usual_method(const Registry& registry) {
   return slot;
 }
 
-Json figures_json(const ObjectFigures& f) {
-  return {{"pq", f.pq},
+/// Objects of a class.
+struct Count {
+  int found = 0, truth = 0;
+};
+
+// `counts`: by class, of the whole scene.
+Json figures_json(const ObjectFigures& f, const std::map<std::string, Count>& counts) {
+  Json of_classes = Json::object();
+  double wrong = 0, all = 0;
+  for (const auto& [name, count] : counts) {
+    of_classes[name] = {{"found", count.found}, {"true", count.truth}};
+    wrong += std::abs(count.found - count.truth);
+    all += count.truth;
+  }
+  return {{"counts", of_classes},
+          {"miscounted", wrong / std::max(1.0, all)},
+          {"pq", f.pq},
           {"sq", f.sq},
           {"rq", f.rq},
           {"pq_things", f.pq_things},
@@ -664,6 +679,33 @@ void check_truth(const ObjectsOptions& options, const Session& s) {
               "leave --score out");
 }
 
+// Of each class, by its name. Those of the truth are seen in at least so many pixels of all frames together; without
+// --score there is none.
+std::map<std::string, Count> counts_of(const ObjectsOptions& options, const Session& s, const FoundObjects& found) {
+  const ClassTable& classes = s.scene.info.classes;
+  std::map<std::string, Count> counts;
+  for (const ObjectRow& row : found.rows)
+    if (row.points > 0) ++counts[object_class_name(row, classes)].found;
+  if (!options.score) return counts;
+  std::map<std::int32_t, std::map<std::int16_t, std::int64_t>> pixels;  // of each true object, by class
+  for (int f = 0; f < std::ssize(s.scene.frames); ++f) {
+    if (!has_truth(s, f)) continue;
+    const StoredFrame& frame = s.scene.frames[static_cast<std::size_t>(f)];
+    const std::vector<std::int16_t> label = frame.label.expand();
+    for (std::size_t i = 0; i < label.size(); ++i)
+      if (frame.instance[i] != 0 && label[i] != kVoid) ++pixels[frame.instance[i]][label[i]];
+  }
+  for (const auto& [id, of_class] : pixels) {
+    std::int64_t all = 0;
+    for (const auto& [index, n] : of_class) all += n;
+    const auto most = std::max_element(of_class.begin(), of_class.end(),
+                                       [](const auto& a, const auto& b) { return a.second < b.second; });
+    if (all >= ObjectScore::kLeastPx && !found.stuff[static_cast<std::size_t>(most->first)])
+      ++counts[classes.valid(most->first).name].truth;
+  }
+  return counts;
+}
+
 // Renders the views, writes them, and scores those of which the scene knows objects.
 std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session& s, FoundObjects& found,
                                          ObjectFiles& files, const AppContext& context) {
@@ -712,6 +754,27 @@ void tell_unclaimed(const FoundObjects& found, const SegmentSet& segments, const
                          info.frames[static_cast<std::size_t>(first.frame)].name));
 }
 
+// Why segments became no object, and what to do about it.
+std::string why_none(const FoundObjects& found, const SegmentSet& segments) {
+  std::ptrdiff_t rays = 0, met = 0;
+  for (const PoolView& view : found.surface.views) {
+    rays += std::ssize(view.map.distance_m);
+    met += std::count_if(view.map.distance_m.begin(), view.map.distance_m.end(), [](float d) { return d > 0; });
+  }
+  const std::ptrdiff_t stuff = std::count_if(found.class_of.begin(), found.class_of.end(), [&](std::int16_t c) {
+    return c != kVoid && found.stuff[static_cast<std::size_t>(c)];
+  });
+  std::string why =
+      "the surfaces of different views do not meet; train longer, or lower objects.neighbours and objects.least_points";
+  if (2 * met < rays)
+    why = fmt::format("only {} of 100 rays meet a surface, the others meet fog; train longer, or with depth",
+                      100 * met / rays);
+  else if (10 * stuff > 9 * std::ssize(found.class_of))
+    why = "nearly all of the surface is of classes without objects; check objects.stuff and the classes of segments";
+  return fmt::format("none of {} segments became an object: {} show on the surface, and {}", segments.count(),
+                     found.shown, why);
+}
+
 int run(const ObjectsOptions& options, AppContext& context) {
   OpenedRun opened = run_of(options.run, options.set, OpenFor::objects, context);
   Session& s = opened.session;
@@ -736,6 +799,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
   FoundObjects found = find_objects(s, segments, s.config.grouping.entry->grouping(*s.config.grouping.params),
                                     context.registry.kernels(), show);
   tell_unclaimed(found, segments, s, context);
+  if (found.rows.empty()) print_note(context, why_none(found, segments));
   check_object_count(found.rows);
   if (!alone.held()) {
     create_folders(folder);
@@ -754,43 +818,23 @@ int run(const ObjectsOptions& options, AppContext& context) {
   const std::optional<ObjectFigures> figures = write_views(options, s, found, files, context);
   Json facts = Json::parse(objects.set.about);
   facts["edits"] = objects.edits.edits.size();
-// Why segments became no object, and what to do about it.
-std::string why_none(const FoundObjects& found, const SegmentSet& segments) {
-  std::ptrdiff_t rays = 0, met = 0;
-  for (const PoolView& view : found.surface.views) {
-    rays += std::ssize(view.map.distance_m);
-    met += std::count_if(view.map.distance_m.begin(), view.map.distance_m.end(), [](float d) { return d > 0; });
-  }
-  const std::ptrdiff_t stuff = std::count_if(found.class_of.begin(), found.class_of.end(), [&](std::int16_t c) {
-    return c != kVoid && found.stuff[static_cast<std::size_t>(c)];
-  });
-  std::string why =
-      "the surfaces of different views do not meet; train longer, or lower objects.neighbours and objects.least_points";
-  if (2 * met < rays)
-    why = fmt::format("only {} of 100 rays meet a surface, the others meet fog; train longer, or with depth",
-                      100 * met / rays);
-  else if (10 * stuff > 9 * std::ssize(found.class_of))
-    why = "nearly all of the surface is of classes without objects; check objects.stuff and the classes of segments";
-  return fmt::format("none of {} segments became an object: {} show on the surface, and {}", segments.count(),
-                     found.shown, why);
-}
-
-  if (figures) facts["score"] = figures_json(*figures);
+  const std::map<std::string, Count> counts = counts_of(options, s, found);
+  if (figures) facts["score"] = figures_json(*figures, counts);
   files.finish();
   objects.set.about = facts.dump();
   write_object_set((std::filesystem::path(folder) / "found.safetensors").string(), as_found);
   write_object_tables(folder, objects, s.scene.info);
   const auto count =
       std::count_if(found.rows.begin(), found.rows.end(), [](const ObjectRow& row) { return row.points > 0; });
-  std::map<std::string, int> counts;
-  for (const ObjectRow& row : found.rows)
-    if (row.points > 0) ++counts[object_class_name(row, s.scene.info.classes)];
   std::string text;
-  for (const auto& [name, of_class] : counts) text += fmt::format("  {:<20} {}\n", name, of_class);
+  for (const auto& [name, count_of] : counts)
+    text += fmt::format("  {:<20} {}{}\n", name, count_of.found,
+                        figures ? fmt::format(" of {}", count_of.truth) : std::string());
   if (figures)
-    text += fmt::format("score: pq={:.4f} sq={:.4f} rq={:.4f} mcov={:.4f} count_error={:.4f} true={} found={}\n",
-                        figures->pq, figures->sq, figures->rq, figures->mcov, figures->count_error, figures->objects,
-                        figures->found);
+    text += fmt::format(
+        "score: pq={:.4f} sq={:.4f} rq={:.4f} mcov={:.4f} count_error={:.4f} true={} found={} miscounted={:.4f}\n",
+        figures->pq, figures->sq, figures->rq, figures->mcov, figures->count_error, figures->objects, figures->found,
+        facts["score"]["miscounted"].get<double>());
   text += fmt::format("objects: objects={} segments={} seconds={:.1f} folder={}", count, segments.count(),
                       facts["seconds"]["all"].get<double>(), folder);
   facts["objects"] = count;
@@ -799,7 +843,6 @@ std::string why_none(const FoundObjects& found, const SegmentSet& segments) {
   print_next(context, next_of_look(options.run));
   return 0;
 }
-  if (found.rows.empty()) print_note(context, why_none(found, segments));
 
 }  // namespace
 

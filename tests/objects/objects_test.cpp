@@ -216,8 +216,9 @@ struct Strip {
     sights.push_back(to);
   }
   std::vector<std::int32_t> groups(const ClusterRules& rules = {.neighbours = 2, .least_points = 3},
-                                   std::span<const bool> stuff = {}) const {
-    return cluster_points(pool, {{place.data(), std::ssize(pool.points), kWidth}, stuff}, sights, rules);
+                                   std::span<const std::int16_t> class_of = {}) const {
+    return cluster_points(pool, {{place.data(), std::ssize(pool.points), kWidth}, class_of, {true, false, false}},
+                          sights, rules);
   }
   SurfacePool pool;
   std::vector<float> place;
@@ -281,15 +282,14 @@ TEST(Clusters, StuffAndWhatIsTooSmallAreNoObjects) {
   strip.put(20, 22, 1);
   strip.put(22, 40, 2);
   for (int k = 0; k < 4; ++k) strip.view({0, 20, 22, 40});
-  std::unique_ptr<bool[]> stuff(new bool[40]{});
-  std::fill(stuff.get() + 22, stuff.get() + 40, true);
-  const std::vector<std::int32_t> group = strip.groups({.neighbours = 2, .least_points = 3}, {stuff.get(), 40});
+  std::vector<std::int16_t> class_of(40, kChair);
+  std::fill(class_of.begin() + 22, class_of.end(), kWall);
+  const std::vector<std::int32_t> group = strip.groups({.neighbours = 2, .least_points = 3}, class_of);
   EXPECT_EQ(group[5], 0);
   EXPECT_EQ(group[21], 0) << "what is too small goes to the group beside it";
   EXPECT_EQ(group[30], -1);
 }
 
-// Each of two points is a thing's, and both may be the wall's: together they vote for it.
 // As a segmenter of everything gives them: parts lie in front of their whole in some views, pixels are in no mask, and
 // numbers mean nothing from one view to the next.
 TEST(Clusters, NestedMasksAndGapsOfASegmenter) {
@@ -411,6 +411,7 @@ TEST(ObjectTable, BoxesStandUpright) {
   EXPECT_LT(std::abs(box.axis[2].z), 0.9999) << "along the spread of the points, where up is not known";
 }
 
+// Each of two points is a thing's, and both may be the wall's: together they vote for it.
 TEST(ObjectTable, NoObjectIsOfAClassOfStuff) {
   const Row row("cc");
   const std::vector<std::int32_t> one{1, 1};

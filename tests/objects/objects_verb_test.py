@@ -35,6 +35,10 @@ class Objects(ProgramCase):
         self.trained("instances")
         said = json.loads(self.ok(f"objects run --score --json {QUICK}").out)
         self.assertGreater(said["score"]["mcov"], 0.3)
+        counts = said["score"]["counts"]
+        self.assertEqual(sum(count["found"] for count in counts.values()), said["objects"])
+        wrong = sum(abs(count["found"] - count["true"]) for count in counts.values())
+        self.assertAlmostEqual(said["score"]["miscounted"], wrong / sum(count["true"] for count in counts.values()))
         self.assertEqual(len(self.read("run/objects/objects.json")["objects"]), said["objects"])
         self.assertGreater(said["objects"], 0)
         name = self.read("run/objects/panoptic.json")["images"][0]["file_name"]
@@ -76,13 +80,13 @@ class Objects(ProgramCase):
             shutil.copy(file, self.dir / f"segments/{name}.png")
         for method in ("", "--set 'objects.method={type: contrastive, dims: 4}'"):
             self.has(self.ok(f"objects run --segments segments {method} {QUICK}").out, "objects: objects=", "segments=")
+        none = self.ok(f"objects run --segments segments --set objects.least_points=100000 {QUICK} --out none")
+        self.has(none.out + none.err, "objects=0", "segments became an object", "show on the surface",
+                 "objects.least_points")
         self.ended(f"objects run {QUICK}", 65, "[objects.segments.none]", "--segments")
         self.ended(f"objects run --segments segments --score --out scored {QUICK}", 65, "[objects.truth.none]")
         self.assertFalse((self.dir / "scored").exists(), "refused before anything is written")
 
-        none = self.ok(f"objects run --segments segments --set objects.least_points=100000 {QUICK} --out none")
-        self.has(none.out + none.err, "objects=0", "segments became an object", "show on the surface",
-                 "objects.least_points")
     def test_things_that_a_person_clicks(self):
         self.trained()
         maps = {name: png_bytes(file) for name, file in self.views().items() if int(name[5:]) % 4 != 3}

@@ -100,8 +100,8 @@ struct ObjectsParams {
   std::int64_t frequencies = 9;
   std::int64_t hidden_width = 64;
   std::int64_t hidden_layers = 2;
-  std::int64_t rays = 1'500'000;
-  std::int64_t points = 200'000;
+  std::int64_t rays = 3'000'000;
+  std::int64_t points = 400'000;
   double reach = 0.25;
   std::int64_t neighbours = 4;
   double agree = 0.5;

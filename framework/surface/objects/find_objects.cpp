@@ -41,10 +41,15 @@ class Clock {
   std::chrono::steady_clock::time_point since_ = std::chrono::steady_clock::now();
 };
 
-std::vector<bool> stuff_classes(const ClassTable& classes, const std::vector<std::string>& names) {
-  std::vector<bool> stuff(static_cast<std::size_t>(classes.valid_count()), false);
+// Those with the names, and, where segments say their classes, those of no segment.
+std::vector<bool> stuff_classes(const ClassTable& classes, const std::vector<std::string>& names,
+                                const SegmentSet& segments) {
+  std::vector<bool> stuff(static_cast<std::size_t>(classes.valid_count()), segments.classes);
+  for (const FrameSegments& frame : segments.frames)
+    for (const auto& [id, index] : frame.class_of) stuff[static_cast<std::size_t>(index)] = false;
   for (int c = 0; c < classes.valid_count(); ++c)
-    stuff[static_cast<std::size_t>(c)] = std::find(names.begin(), names.end(), classes.valid(c).name) != names.end();
+    if (std::find(names.begin(), names.end(), classes.valid(c).name) != names.end())
+      stuff[static_cast<std::size_t>(c)] = true;
   return stuff;
 }
 
@@ -87,7 +92,7 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
     };
   };
   found.grouping = std::move(grouping);
-  found.stuff = stuff_classes(session.scene.info.classes, params.stuff);
+  found.stuff = stuff_classes(session.scene.info.classes, params.stuff, segments);
   std::vector<PoolView> views = object_views(session, params.rays, say("seen"));
   clock.part("rendering");
   found.surface = object_surface(std::move(views), session.limits, params.points);
@@ -95,17 +100,17 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   found.touching = touching_cells(pool.cells);
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool.points) positions.push_back(point.position);
-  clock.part("surface");
-  std::vector<SegmentSights> sights = segment_sights(found.surface, segments, kLeastSights);
-  const PointClasses classes = classes_of_points(session, positions, sights);
-  found.class_of = classes.most_probable();
-  ClickedObjects told;
   std::vector<Pose> poses;
   for (const PoolView& view : found.surface.views) poses.push_back(view.camera.world_from_camera);
   found.up = up_of_cameras(poses);
+  clock.part("surface");
+  std::vector<SegmentSights> sights = segment_sights(found.surface, segments, kLeastSights);
+  for (const SegmentSights& view : sights) found.shown += view.segments();
+  const PointClasses classes = classes_of_points(session, positions, sights);
+  found.class_of = classes.most_probable();
+  ClickedObjects told;
   if (clicked) {
     told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks, kLeastClicked);
-  for (const SegmentSights& view : sights) found.shown += view.segments();
     found.id = told.id;
     found.unclaimed = told.unclaimed;
     if (std::all_of(found.id.begin(), found.id.end(), [](std::int32_t id) { return id == 0; }))
@@ -127,13 +132,10 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   found.place = found.network->outputs(positions);
   const View<float> place(found.place.data(), std::ssize(positions), found.grouping->width());
   found.grouping->place(place);
-  std::unique_ptr<bool[]> stuff(new bool[positions.size()]);
-  for (std::size_t i = 0; i < positions.size(); ++i)
-    stuff[i] = found.class_of[i] != kVoid && found.stuff[static_cast<std::size_t>(found.class_of[i])];
   const ClusterRules rules{params.reach, params.neighbours, params.agree, static_cast<double>(params.least_views),
                            params.least_points};
   if (!clicked) {
-    found.id = cluster_points(pool, {place, {stuff.get(), positions.size()}}, sights, rules);
+    found.id = cluster_points(pool, {place, found.class_of, found.stuff}, sights, rules);
     for (std::int32_t& id : found.id) ++id;
   }
   found.rows = object_table(found.surface, found.id, sights, classes, found.stuff, found.up);
@@ -227,20 +229,30 @@ class Clustering {
         sights_(sights),
         rules_(rules),
         near_(pool.cells.neighbours()),
-        group_(pool.points.size(), -1) {}
+        group_(pool.points.size(), -1),
+        is_stuff_(pool.points.size(), false) {}
 
   std::vector<std::int32_t> run() {
     grow();
+    part();
     take_in(1);
     join_by_views();
     drop_small();
+    drop_rims();
     take_in(INFINITY);
     number();
     return std::move(group_);
   }
 
  private:
-  bool is_stuff(std::int32_t i) const { return !points_.stuff.empty() && points_.stuff[static_cast<std::size_t>(i)]; }
+  bool is_stuff(std::int32_t i) const { return is_stuff_[static_cast<std::size_t>(i)] != 0; }
+  // What the field says there.
+  std::int16_t class_of(std::int32_t i) const {
+    return points_.class_of.empty() ? kVoid : points_.class_of[static_cast<std::size_t>(i)];
+  }
+  bool is_of_stuff(std::int16_t class_index) const {
+    return class_index != kVoid && points_.stuff[static_cast<std::size_t>(class_index)];
+  }
   static float squared(const float* a, const float* b, std::int32_t width) {
     float sum = 0;
     for (std::int32_t d = 0; d < width; ++d) sum += (a[d] - b[d]) * (a[d] - b[d]);
@@ -248,40 +260,41 @@ class Clustering {
   }
 
   // Mean places of the segments of all views: a segment's middle lies where its object does, also where its border is
-  // blurred. Segments of stuff have none.
+  // blurred. Segments of stuff have none: those whose class is such, or most of whose points are.
   void take_means() {
     const std::int32_t width = points_.place.cols;
     for (const SegmentSights& view : sights_) {
-      first_segment_.push_back(static_cast<std::int32_t>(segment_size_.size()));
+      first_segment_.push_back(static_cast<std::int32_t>(is_thing_.size()));
       for (std::int32_t s = 0; s < view.segments(); ++s) {
+        const std::int16_t told = view.class_of[static_cast<std::size_t>(s)];
         std::vector<double> sum(static_cast<std::size_t>(width), 0);
         double count = 0, all = 0;
         for (std::int32_t i = view.first[static_cast<std::size_t>(s)]; i < view.first[static_cast<std::size_t>(s) + 1];
              ++i) {
           const std::int32_t point = view.point[static_cast<std::size_t>(i)];
           ++all;
-          if (is_stuff(point)) continue;
+          if (told == kVoid && is_of_stuff(class_of(point))) continue;
           ++count;
           for (std::int32_t d = 0; d < width; ++d)
             sum[static_cast<std::size_t>(d)] += static_cast<double>(points_.place(point, d));
         }
-        segment_size_.push_back(2 * count > all ? count : 0);
+        is_thing_.push_back(2 * count > all && !is_of_stuff(told));
         for (const double value : sum) segment_mean_.push_back(static_cast<float>(value / std::max(count, 1.0)));
       }
     }
-    first_segment_.push_back(static_cast<std::int32_t>(segment_size_.size()));
+    first_segment_.push_back(static_cast<std::int32_t>(is_thing_.size()));
   }
 
-  // Clusters of the segments of all views [Ester96].
+  // Clusters of the segments of all views [Ester96]; kStuff: segments of stuff, -1: of no cluster.
   std::vector<std::int32_t> cluster_segments() const {
-    const auto count = std::ssize(segment_size_);
+    const auto count = std::ssize(is_thing_);
     const std::int32_t width = points_.place.cols;
     const auto reach = static_cast<float>(rules_.reach * rules_.reach);
     std::vector<std::vector<std::int32_t>> near(static_cast<std::size_t>(count));
     parallel_for(count, [&](std::int64_t i) {
-      if (!(segment_size_[static_cast<std::size_t>(i)] > 0)) return;
+      if (!is_thing_[static_cast<std::size_t>(i)]) return;
       for (std::int64_t j = 0; j < count; ++j)
-        if (j != i && segment_size_[static_cast<std::size_t>(j)] > 0 &&
+        if (j != i && is_thing_[static_cast<std::size_t>(j)] &&
             squared(&segment_mean_[static_cast<std::size_t>(i * width)],
                     &segment_mean_[static_cast<std::size_t>(j * width)], width) < reach)
           near[static_cast<std::size_t>(i)].push_back(static_cast<std::int32_t>(j));
@@ -294,18 +307,21 @@ class Clustering {
     for (std::int64_t i = 0; i < count; ++i)
       for (const std::int32_t j : near[static_cast<std::size_t>(i)])
         if (j > i && inside(i) && inside(j)) joined.join(static_cast<std::int32_t>(i), j);
-    for (std::int64_t i = 0; i < count; ++i)
+    for (std::int64_t i = 0; i < count; ++i) {
+      if (!is_thing_[static_cast<std::size_t>(i)]) cluster[static_cast<std::size_t>(i)] = kStuff;
       if (inside(i)) cluster[static_cast<std::size_t>(i)] = joined.of(static_cast<std::int32_t>(i));
+    }
     return cluster;
   }
 
-  // Of each point the cluster that most of its segments are of, the first of equals; -1: none, or the point is stuff.
-  std::vector<std::int32_t> votes_of(const std::vector<std::int32_t>& cluster) const {
+  // Of each point the cluster that most of its segments are of, the first of equals; -1: none. Sets what is stuff: by
+  // the segments that a point lies in, among which what the field says counts as kFieldVotes.
+  std::vector<std::int32_t> votes_of(const std::vector<std::int32_t>& cluster) {
     std::vector<std::int32_t> first(group_.size() + 1, 0);
     const auto for_votes = [&](const auto& body) {
       for (std::size_t v = 0; v < sights_.size(); ++v)
         for (std::size_t i = 0; i < sights_[v].point.size(); ++i)
-          if (const auto c = cluster[static_cast<std::size_t>(first_segment_[v] + sights_[v].segment[i])]; c >= 0)
+          if (const auto c = cluster[static_cast<std::size_t>(first_segment_[v] + sights_[v].segment[i])]; c != -1)
             body(static_cast<std::size_t>(sights_[v].point[i]), c);
     };
     for_votes([&](std::size_t point, std::int32_t) { ++first[point + 1]; });
@@ -316,11 +332,15 @@ class Clustering {
     parallel_for((std::ssize(of_point) + kBlock - 1) / kBlock, [&](std::int64_t block) {
       for (std::int64_t i = block * kBlock; i < std::min(std::ssize(of_point), (block + 1) * kBlock); ++i) {
         const auto n = static_cast<std::size_t>(i);
-        if (is_stuff(static_cast<std::int32_t>(i))) continue;
         const auto end = vote.begin() + first[n + 1];
         std::sort(vote.begin() + first[n], end);
-        std::ptrdiff_t most = 0;
-        for (auto of = vote.begin() + first[n]; of != end;) {
+        const auto things = std::upper_bound(vote.begin() + first[n], end, kStuff);
+        const std::int16_t said = class_of(static_cast<std::int32_t>(i));
+        std::ptrdiff_t stuff = things - (vote.begin() + first[n]), thing = end - things, most = 0;
+        if (said != kVoid) (is_of_stuff(said) ? stuff : thing) += kFieldVotes;
+        is_stuff_[n] = stuff > thing;
+        if (is_stuff_[n]) continue;
+        for (auto of = things; of != end;) {
           const auto behind = std::upper_bound(of, end, *of);
           if (behind - of > most) {
             most = behind - of;
@@ -351,9 +371,129 @@ class Clustering {
     number();
   }
 
+  // Sights of every point: the numbers of their segments among those of all views, ascending.
+  void take_sights() {
+    sight_first_.assign(group_.size() + 1, 0);
+    for (const SegmentSights& view : sights_)
+      for (const std::int32_t point : view.point) ++sight_first_[static_cast<std::size_t>(point) + 1];
+    std::partial_sum(sight_first_.begin(), sight_first_.end(), sight_first_.begin());
+    sight_.resize(static_cast<std::size_t>(sight_first_.back()));
+    std::vector<std::int32_t> next(sight_first_.begin(), sight_first_.end() - 1);
+    for (std::size_t v = 0; v < sights_.size(); ++v) {
+      for (std::size_t i = 0; i < sights_[v].point.size(); ++i)
+        sight_[static_cast<std::size_t>(next[static_cast<std::size_t>(sights_[v].point[i])]++)] =
+            first_segment_[v] + sights_[v].segment[i];
+      for (std::int32_t s = first_segment_[v]; s < first_segment_[v + 1]; ++s)
+        view_of_.push_back(static_cast<std::int32_t>(v));
+    }
+  }
+
+  // What views say of two touching regions, over the pairs of their points that touch.
+  using Rank = std::pair<double, std::uint64_t>;  // the surest first
+  struct Link {
+    std::int32_t a = 0, b = 0;
+    double same = 0, common = 0;
+    // Among equals in no order of space, or else a plain surface would grow from one end, a point in a round.
+    Rank rank() const {
+      const auto number = static_cast<std::uint64_t>(a) << 32 | static_cast<std::uint64_t>(b);
+      const std::uint64_t mixed = number * 0x9E3779B97F4A7C15u;
+      return {-same / (common + kDoubt), (mixed ^ mixed >> 29) * 0xBF58476D1CE4E5B9u};
+    }
+  };
+  Link link_of(const CellPair& pair) const {
+    Link link{pair.a, pair.b};
+    auto a = sight_first_[static_cast<std::size_t>(pair.a)], b = sight_first_[static_cast<std::size_t>(pair.b)];
+    const auto a_end = sight_first_[static_cast<std::size_t>(pair.a) + 1],
+               b_end = sight_first_[static_cast<std::size_t>(pair.b) + 1];
+    const auto view = [&](std::int32_t i) {
+      return view_of_[static_cast<std::size_t>(sight_[static_cast<std::size_t>(i)])];
+    };
+    while (a < a_end && b < b_end) {
+      if (view(a) != view(b)) {
+        ++(view(a) < view(b) ? a : b);
+        continue;
+      }
+      const std::int32_t v = view(a), a0 = a, b0 = b;
+      while (a < a_end && view(a) == v) ++a;
+      while (b < b_end && view(b) == v) ++b;
+      double same = 0;
+      for (auto i = a0; i < a; ++i)
+        for (auto j = b0; j < b; ++j)
+          same += sight_[static_cast<std::size_t>(i)] == sight_[static_cast<std::size_t>(j)];
+      link.common += 1;
+      link.same += same / ((a - a0) * (b - b0));
+    }
+    return link;
+  }
+
+  // Links between the same two regions become one.
+  static void add_up(std::vector<Link>& links) {
+    std::sort(links.begin(), links.end(),
+              [](const Link& x, const Link& y) { return std::tie(x.a, x.b) < std::tie(y.a, y.b); });
+    std::size_t last = 0;
+    for (std::size_t i = 1; i < links.size(); ++i) {
+      if (links[i].a == links[last].a && links[i].b == links[last].b) {
+        links[last].same += links[i].same;
+        links[last].common += links[i].common;
+      } else {
+        links[++last] = links[i];
+      }
+    }
+    if (!links.empty()) links.resize(last + 1);
+  }
+
+  // Groups whose sights views put into several segments come apart along the surface, where the network could not tell
+  // things from each other: from single points on, regions join that are each other's surest neighbour, as far as views
+  // say that they are one. Parts of one thing are joined again afterwards.
+  void part() {
+    std::vector<double> same(static_cast<std::size_t>(groups_), 0), all(static_cast<std::size_t>(groups_), 0);
+    for (const Counts& view : counts()) {
+      for (const auto& [g, seen] : view) {
+        all[static_cast<std::size_t>(g)] += seen.total;
+        for (const auto& [segment, n] : seen.in) same[static_cast<std::size_t>(g)] += n * n / seen.total;
+      }
+    }
+    const auto is_many = [&](std::int32_t g) {
+      return g >= 0 && same[static_cast<std::size_t>(g)] < kOne * all[static_cast<std::size_t>(g)];
+    };
+    take_sights();
+    std::vector<Link> links;
+    for (const CellPair& pair : near_) {
+      const std::int32_t g = group_[static_cast<std::size_t>(pair.a)];
+      if (g == group_[static_cast<std::size_t>(pair.b)] && is_many(g)) links.push_back(link_of(pair));
+    }
+    JoinedSets joined(group_.size());
+    for (bool some = true; some;) {
+      std::vector<Rank> best(group_.size(), {-rules_.agree, 0});
+      for (const Link& link : links)
+        for (const std::int32_t end : {link.a, link.b})
+          best[static_cast<std::size_t>(end)] = std::min(best[static_cast<std::size_t>(end)], link.rank());
+      some = false;
+      for (const Link& link : links) {
+        if (best[static_cast<std::size_t>(link.a)] != link.rank() ||
+            best[static_cast<std::size_t>(link.b)] != link.rank())
+          continue;
+        joined.join(link.a, link.b);
+        some = true;
+      }
+      for (Link& link : links) std::tie(link.a, link.b) = std::minmax({joined.of(link.a), joined.of(link.b)});
+      std::erase_if(links, [](const Link& link) { return link.a == link.b; });
+      add_up(links);
+    }
+    std::vector<std::int32_t> size(group_.size(), 0);
+    for (std::int32_t i = 0; i < std::ssize(group_); ++i)
+      if (is_many(group_[static_cast<std::size_t>(i)])) ++size[static_cast<std::size_t>(joined.of(i))];
+    for (std::int32_t i = 0; i < std::ssize(group_); ++i) {
+      std::int32_t& g = group_[static_cast<std::size_t>(i)];
+      if (is_many(g)) g = size[static_cast<std::size_t>(joined.of(i))] >= kLeastPiece ? groups_ + joined.of(i) : -1;
+    }
+    number();
+  }
+
   // Groups are numbered anew, the largest first.
   void number() {
-    std::vector<std::int32_t> size(group_.size(), 0), to(group_.size(), -1);  // a group's number is below the points'
+    // A group's number is below that of the points, or behind the groups and then of a point (part()).
+    std::vector<std::int32_t> size(static_cast<std::size_t>(groups_) + group_.size(), 0), to(size.size(), -1);
     for (const std::int32_t g : group_)
       if (g >= 0) ++size[static_cast<std::size_t>(g)];
     std::vector<std::pair<std::int32_t, std::int32_t>> order;
@@ -384,10 +524,25 @@ class Clustering {
     return mean;
   }
 
+  // Of every group the class that most of its points have.
+  std::vector<std::int16_t> classes() const {
+    std::vector<std::map<std::int16_t, std::int32_t>> votes(static_cast<std::size_t>(groups_));
+    for (std::int32_t i = 0; i < std::ssize(group_); ++i)
+      if (const std::int32_t g = group_[static_cast<std::size_t>(i)]; g >= 0 && class_of(i) != kVoid)
+        ++votes[static_cast<std::size_t>(g)][class_of(i)];
+    std::vector<std::int16_t> out;
+    for (const auto& of : votes)
+      out.push_back(of.empty() ? kVoid : std::max_element(of.begin(), of.end(), [](const auto& a, const auto& b) {
+                                           return a.second < b.second;
+                                         })->first);
+    return out;
+  }
+
   // Points without a group join that of a neighbour whose mean is nearest and within `reach` times the reach, in rings.
   void take_in(double reach) {
     const auto width = points_.place.cols;
     const std::vector<float> mean = means();
+    const std::vector<std::int16_t> class_of_group = classes();
     const auto most = static_cast<float>(reach * reach * rules_.reach * rules_.reach);
     const auto waits = [&](std::int32_t point) {
       return group_[static_cast<std::size_t>(point)] < 0 && !is_stuff(point);
@@ -404,6 +559,8 @@ class Clustering {
         const auto i = static_cast<std::size_t>(pair.a);
         const std::int32_t g = group_[static_cast<std::size_t>(pair.b)];
         if (g < 0) continue;
+        const std::int16_t its = class_of(pair.a), of_group = class_of_group[static_cast<std::size_t>(g)];
+        if (its != of_group && its != kVoid && of_group != kVoid && !is_of_stuff(its)) continue;
         const float way = squared(points_.place.row(pair.a), &mean[static_cast<std::size_t>(g * width)], width);
         if (way > most || way > best[i] || (way == best[i] && g >= next[i])) continue;
         best[i] = way;
@@ -420,33 +577,22 @@ class Clustering {
     }
   }
 
-  // Sights of each group in each segment of a view, and in all of them; groups of the view by number.
-  struct Counts {
-    std::vector<std::map<std::int32_t, double>> segments;  // by group
-    std::map<std::int32_t, double> total;
-    void join(std::int32_t keep, std::int32_t gone) {
-      const auto into = [&](std::map<std::int32_t, double>& of) {
-        const auto found = of.find(gone);
-        if (found == of.end()) return false;
-        of[keep] += found->second;
-        of.erase(found);
-        return true;
-      };
-      if (!into(total)) return;
-      for (auto& segment : segments) into(segment);
-    }
+  // Sights of a group in a view, and by its segments.
+  struct Seen {
+    double total = 0;
+    std::map<std::int32_t, double> in;
   };
+  using Counts = std::map<std::int32_t, Seen>;  // by group
   std::vector<Counts> counts() const {
     std::vector<Counts> all(sights_.size());
     parallel_for(std::ssize(sights_), [&](std::int64_t v) {
       const SegmentSights& view = sights_[static_cast<std::size_t>(v)];
-      Counts& of = all[static_cast<std::size_t>(v)];
-      of.segments.resize(static_cast<std::size_t>(view.segments()));
       for (std::size_t i = 0; i < view.point.size(); ++i) {
         const std::int32_t g = group_[static_cast<std::size_t>(view.point[i])];
         if (g < 0) continue;
-        of.segments[static_cast<std::size_t>(view.segment[i])][g] += 1;
-        of.total[g] += 1;
+        Seen& of = all[static_cast<std::size_t>(v)][g];
+        of.total += 1;
+        of.in[view.segment[i]] += 1;
       }
     });
     return all;
@@ -454,49 +600,81 @@ class Clustering {
 
   using Pair = std::pair<std::int32_t, std::int32_t>;
   // A view that sees n_a and n_b of two groups says same = sum_s n_as n_bs / (n_a n_b) with the weight of the smaller.
-  static void add_evidence(const Counts& view, std::map<Pair, Evidence>& evidence, std::int32_t only) {
-    const std::map<std::int32_t, double>& total = view.total;
-    if (only >= 0 && !total.contains(only)) return;
-    std::map<Pair, double> together;
-    for (const auto& segment : view.segments)
-      for (auto a = segment.begin(); a != segment.end() && (only < 0 || segment.contains(only)); ++a)
-        for (auto b = std::next(a); b != segment.end(); ++b)
-          if (only < 0 || a->first == only || b->first == only)
-            together[{a->first, b->first}] += a->second * b->second / (total.at(a->first) * total.at(b->first));
-    for (auto a = total.begin(); a != total.end(); ++a) {
-      for (auto b = std::next(a); b != total.end(); ++b) {
-        if (only >= 0 && a->first != only && b->first != only) continue;
-        const double weight = std::min(a->second, b->second);
-        if (weight < kLeastSights) continue;
-        Evidence& e = evidence[{a->first, b->first}];
-        e.weight += weight;
-        e.views += 1;
-        if (const auto found = together.find({a->first, b->first}); found != together.end())
-          e.same += weight * found->second;
+  static Evidence evidence_of(std::span<const Counts> views, const Pair& pair) {
+    Evidence out;
+    for (const Counts& view : views) {
+      const auto a = view.find(pair.first), b = view.find(pair.second);
+      if (a == view.end() || b == view.end()) continue;
+      const double weight = std::min(a->second.total, b->second.total);
+      if (weight < kLeastSights) continue;
+      double same = 0;
+      for (const auto& [segment, n] : a->second.in)
+        if (const auto also = b->second.in.find(segment); also != b->second.in.end()) same += n * also->second;
+      out.weight += weight;
+      out.views += 1;
+      out.same += weight * same / (a->second.total * b->second.total);
+    }
+    return out;
+  }
+
+  // Of the pairs that touch, or that a view has in one segment.
+  std::map<Pair, Evidence> evidence_of_all(std::span<const Counts> views) const {
+    std::map<Pair, Evidence> evidence;
+    for (const auto& [a, b] : near_) {
+      const std::int32_t g = group_[static_cast<std::size_t>(a)], h = group_[static_cast<std::size_t>(b)];
+      if (g >= 0 && h >= 0 && g != h) evidence[std::minmax({g, h})];
+    }
+    for (const Counts& view : views) {
+      std::map<std::int32_t, std::vector<std::int32_t>> groups;  // of each segment
+      for (const auto& [g, seen] : view) {
+        for (const auto& [segment, n] : seen.in) {
+          for (const std::int32_t other : groups[segment]) evidence[{other, g}];
+          groups[segment].push_back(g);
+        }
       }
     }
+    std::vector<std::pair<const Pair, Evidence>*> all;
+    for (auto& one : evidence) all.push_back(&one);
+    parallel_for(std::ssize(all), [&](std::int64_t i) {
+      auto& [pair, its] = *all[static_cast<std::size_t>(i)];
+      its = evidence_of(views, pair);
+    });
+    return evidence;
   }
 
   void join_by_views() {
     std::vector<Counts> views = counts();
-    std::map<Pair, Evidence> evidence;
-    for (const Counts& view : views) add_evidence(view, evidence, -1);
+    std::map<Pair, Evidence> evidence = evidence_of_all(views);
     touch_by_mean(evidence);
     JoinedSets joined(static_cast<std::size_t>(groups_));
     for (;;) {
+      std::erase_if(evidence, [](const auto& e) { return e.second.same == 0; });  // nothing joins those
       const auto best = std::max_element(evidence.begin(), evidence.end(), [&](const auto& a, const auto& b) {
         return score(a.second) < score(b.second);
       });
       if (best == evidence.end() || score(best->second) <= rules_.agree) break;
       const auto [keep, gone] = best->first;
       joined.join(keep, gone);
-      for (auto e = evidence.begin(); e != evidence.end();)
-        e = e->first.first == gone || e->first.second == gone || e->first.first == keep || e->first.second == keep
-                ? evidence.erase(e)
-                : std::next(e);
       for (Counts& view : views) {
-        view.join(keep, gone);
-        add_evidence(view, evidence, keep);
+        const auto from = view.find(gone);
+        if (from == view.end()) continue;
+        Seen& to = view[keep];
+        to.total += from->second.total;
+        for (const auto& [segment, n] : from->second.in) to.in[segment] += n;
+        view.erase(from);
+      }
+      std::set<std::int32_t> others;
+      std::erase_if(evidence, [&](const auto& e) {
+        const auto [a, b] = e.first;
+        const bool of_both = a == keep || a == gone || b == keep || b == gone;
+        if (of_both) others.insert(a == keep || a == gone ? b : a);
+        return of_both;
+      });
+      others.erase(keep);
+      others.erase(gone);
+      for (const std::int32_t other : others) {
+        const Pair pair = std::minmax({keep, other});
+        evidence[pair] = evidence_of(views, pair);
       }
     }
     for (std::int32_t& g : group_)
@@ -532,7 +710,29 @@ class Clustering {
     number();
   }
 
+  // Groups that lie for the most part in segments that are more of another group are rims of other things.
+  void drop_rims() {
+    std::vector<double> all(static_cast<std::size_t>(groups_), 0), held(static_cast<std::size_t>(groups_), 0);
+    for (const Counts& view : counts()) {
+      std::map<std::int32_t, std::pair<double, std::int32_t>> most;  // of a segment: sights, group
+      for (const auto& [g, seen] : view) {
+        all[static_cast<std::size_t>(g)] += seen.total;
+        for (const auto& [segment, n] : seen.in)
+          if (auto& of = most[segment]; n > of.first) of = {n, g};
+      }
+      for (const auto& [segment, of] : most) held[static_cast<std::size_t>(of.second)] += of.first;
+    }
+    for (std::int32_t& g : group_)
+      if (g >= 0 && held[static_cast<std::size_t>(g)] < kHeld * all[static_cast<std::size_t>(g)]) g = -1;
+    number();
+  }
+
   static constexpr std::int64_t kBlock = 4096;  // points of a unit of work
+  static constexpr std::int32_t kStuff = -2;    // among numbers of clusters
+  static constexpr double kDoubt = 0.5;         // views that say nothing, beside those that see a pair
+  static constexpr double kOne = 0.8;           // share of a group's sights in one segment, from which it is one thing
+  static constexpr double kHeld = 0.4;          // share of its sights in segments that are mostly its own, at least
+  static constexpr int kFieldVotes = 1;         // of the views' votes
   static constexpr double kLeastSights = 3;
   static constexpr std::int32_t kLeastPiece = 4;  // points of a group before groups are joined
 
@@ -541,10 +741,12 @@ class Clustering {
   ClusterRules rules_;
   std::vector<CellPair> near_;
   std::vector<std::int32_t> group_;
+  std::vector<char> is_stuff_;
   std::int32_t groups_ = 0;
   // Of the segments of all views, one behind another.
   std::vector<std::int32_t> first_segment_;  // of a view
-  std::vector<double> segment_size_;
+  std::vector<char> is_thing_;
+  std::vector<std::int32_t> sight_first_, sight_, view_of_;
   std::vector<float> segment_mean_;
 };
 

@@ -85,21 +85,25 @@ struct ClusterRules {
   std::int64_t least_points = 20;  ///< of an object
 };
 
-/// Places of the points [N, width] (Grouping::place), of which `stuff` [N] are no object's; empty: none are.
+/// Places of the points [N, width] (Grouping::place), and their classes [N], kVoid: not known; empty: of none. Classes
+/// of `stuff` [classes] have no objects.
 struct PlacedPoints {
   View<const float> place;
-  std::span<const bool> stuff;
+  std::span<const std::int16_t> class_of;
+  std::vector<bool> stuff;
 };
 
 /// The group of every point of the pool, from 0 on by descending size; -1: of no object.
 ///
 /// Segments of all views are clustered by density [Ester96], each at the mean place of its points: the middle of a
 /// segment lies where its object does, also where the network blurs a border. A point is of the cluster that most of
-/// its segments are of, and points of one cluster in cells that touch are a group, so that what is far apart in the
-/// room is never one object by its place alone. Then pairs of groups are joined, the surest first: a view that sees
+/// its segments are of, or stuff where most are segments of stuff; points of one cluster in cells that touch are a
+/// group, so that what is far apart in the room is never one object by its place alone. Groups that views put into
+/// several segments come apart along the surface. Then pairs of groups are joined, the surest first: a view that sees
 /// both says by how much of them lies in one segment whether they are one. Of pairs that too few views see, those are
-/// joined that touch and whose means are within reach. Points without a group, and those of groups too small, go to a
-/// group beside them, the nearest by place. The same for the same input.
+/// joined that touch and whose means are within reach. Groups that lie mostly in segments of others are none. Points
+/// without a group, and those of groups too small, go to a group of their class beside them, the nearest by place. The
+/// same for the same input.
 std::vector<std::int32_t> cluster_points(const SurfacePool& pool, const PlacedPoints& points,
                                          std::span<const SegmentSights> sights, const ClusterRules& rules);
 

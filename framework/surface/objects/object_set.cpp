@@ -366,6 +366,7 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
     for (std::size_t c = 0; c < votes[o].size(); ++c)
       votes[o][c] += static_cast<double>(classes.probability[i * votes[o].size() + c]);
   }
+  std::vector<std::map<std::int16_t, double>> told(rows.size());  // sights of each object in segments of a class
   for (const SegmentSights& view : sights) {
     std::map<std::int32_t, std::map<std::int32_t, double>> in_segment;  // by object
     for (std::size_t i = 0; i < view.point.size(); ++i)
@@ -375,6 +376,8 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
       for (const auto& [s, n] : of) {
         all += n;
         best = std::max(best, n);
+        if (const std::int16_t its = view.class_of[static_cast<std::size_t>(s)]; its != kVoid)
+          told[static_cast<std::size_t>(o) - 1][its] += n;
       }
       ObjectRow& row = rows[static_cast<std::size_t>(o) - 1];
       ++row.views;
@@ -385,7 +388,11 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
     ObjectRow& row = rows[o];
     row.id = static_cast<std::int32_t>(o) + 1;
     if (row.views > 0) row.agreement /= row.views;
-    double all = 0, best = 0;
+    double all = 0, best = 0, told_all = 0;
+    for (const double vote : votes[o]) all += vote;
+    for (const auto& [c, n] : told[o]) told_all += n;
+    for (const auto& [c, n] : told[o]) votes[o][static_cast<std::size_t>(c)] += n * std::max(all, 1.0) / told_all;
+    all = 0;
     for (std::size_t c = 0; c < votes[o].size(); ++c) {
       all += votes[o][c];
       if (stuff[c] || !(votes[o][c] > best)) continue;

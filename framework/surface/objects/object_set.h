@@ -65,8 +65,9 @@ PointClasses classes_of_points(Session& session, std::span<const Vec3d> position
 void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position, std::span<const std::int32_t> id,
                      double cell_m, const std::optional<Vec3d>& up);
 
-/// A row per object of `id` [N], by id. No object is of a class of `stuff` [classes], however many votes it has; where
-/// all votes are for such, its class is not known.
+/// A row per object of `id` [N], by id. Its class has the most votes: those of its points, and as many of the segments
+/// that it lies in, as far as these have classes. No object is of a class of `stuff` [classes], however many votes it
+/// has; where all votes are for such, its class is not known.
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
                                     std::span<const SegmentSights> sights, const PointClasses& classes,
                                     const std::vector<bool>& stuff, const std::optional<Vec3d>& up);
