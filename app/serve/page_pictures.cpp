@@ -10,6 +10,7 @@
 #include "app/serve/page_server.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "labels/mask_outlines.h"
 
 namespace semfield::app {
 
@@ -61,6 +62,58 @@ std::string picture_bytes(const Picture& picture, const std::vector<ClassState>&
   const Bytes labels = picture.label.empty() ? Bytes() : label_png(w, h, picture.label, classes);
   const Bytes entropy = picture.entropy.empty() ? Bytes() : encode_png(w, h, 0, 8, picture.entropy, {}, kQuick);
   return joined_parts({facts.dump(), text_of(color), text_of(labels), text_of(entropy)});
+}
+
+namespace {
+
+constexpr double kMostMask = 1.5e6;      // pixels
+constexpr std::int64_t kSpeckle = 5000;  // smaller pieces and holes than the picture by this have no outline
+constexpr double kLeastPart = 0.02;      // of the thing
+
+// A thing's mask at about the size of its photograph.
+ViewLabels at_size_of(const Picture& picture, const Image<std::uint8_t>& photo) {
+  const std::int32_t width = picture.width_px, height = picture.height_px;
+  const double most = std::sqrt(kMostMask / (double{1} * width * height));
+  const auto times = static_cast<std::int32_t>(std::min(most, std::round(double{1} * photo.width_px / width)));
+  ViewLabels mask{width, height, picture.label, {}};
+  if (times > 1) {
+    StoredFrame guide;
+    guide.width_px = width * times;
+    guide.height_px = height * times;
+    guide.rgb = resize_area(photo, guide.width_px, guide.height_px).pixels;
+    mask = upsampled({times, width, height, picture.label, std::vector<std::uint8_t>(picture.label.size())}, guide);
+  }
+  fill_small_regions(mask.label, mask.width_px, mask.height_px,
+                     std::max<std::int64_t>(2, std::ssize(mask.label) / kSpeckle));
+  return mask;
+}
+
+}  // namespace
+
+std::string thing_bytes(const Picture& picture, const Image<std::uint8_t>& photo, std::int32_t view_px) {
+  const ThingFacts thing = picture.thing.value_or(ThingFacts{});
+  Json facts{{"stale", picture.stale},   {"level", thing.level}, {"least", thing.least},
+             {"most", thing.most},       {"share", thing.share}, {"class_guess", thing.class_guess},
+             {"outlines", Json::array()}};
+  std::vector<std::uint8_t> png;
+  if (!picture.stale) {
+    const ViewLabels mask = at_size_of(picture, photo);
+    facts["width"] = mask.width_px;
+    facts["height"] = mask.height_px;
+    const double scale = double{1} * view_px / mask.width_px;
+    for (const MaskRegion& region : mask_regions(mask.label, mask.width_px, mask.height_px)) {
+      if (static_cast<double>(region.area_px) < kLeastPart * thing.share * static_cast<double>(mask.label.size()))
+        continue;
+      Outline outline = region.outline;
+      for (PixelPoint& p : outline) p = {p.x * scale, p.y * scale};
+      facts["outlines"].push_back(points_json(outline));
+    }
+    std::vector<std::uint8_t> grey(mask.label.size());
+    std::transform(mask.label.begin(), mask.label.end(), grey.begin(),
+                   [](std::int16_t label) { return static_cast<std::uint8_t>(label == kVoid ? 0 : 255); });
+    png = encode_png(mask.width_px, mask.height_px, 0, 8, grey, {}, kQuick);
+  }
+  return joined_parts({facts.dump(), text_of(png)});
 }
 
 std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px) {

@@ -26,6 +26,11 @@ std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_p
 /// entropy, which are empty where there is none.
 std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes);
 
+/// The response to a request for a thing, as joined_parts: JSON of its facts and outlines, and a PNG of its mask at the
+/// size of `photo` (at most a few million pixels), 255 inside, along the photograph's edges. Outlines are in pixels of
+/// the view, which is `view_px` wide. Of a picture that is stale the second part is empty.
+std::string thing_bytes(const Picture& picture, const Image<std::uint8_t>& photo, std::int32_t view_px);
+
 /// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.
 std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px);
 

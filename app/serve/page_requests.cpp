@@ -65,8 +65,12 @@ FreeCamera read_request_camera(const Json& map) {
   return camera;
 }
 
-PictureRequest parse_picture_request(std::string_view json) {
-  const Json root = parse_request(json, {"client", "view", "color", "labels", "entropy", "full"});
+namespace {
+
+constexpr std::size_t kMostPlaces = 4096;  // of each kind
+constexpr std::int32_t kMostLevel = 1000;
+
+PictureRequest of_a_client(const Json& root) {
   PictureRequest request;
   const Json& client = kRequest.at(root, "client");
   const std::string* name = client.get_ptr<const std::string*>();
@@ -74,6 +78,41 @@ PictureRequest parse_picture_request(std::string_view json) {
     kRequest.refuse_value("client", "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", client);
   request.client = *name;
   request.view = request_number(root, "view", 0, 1 << 24);
+  return request;
+}
+
+std::vector<PixelPoint> request_places(const Json& root, const char* key) {
+  const std::string expected = "at most " + std::to_string(kMostPlaces) + " points [x, y] in pixels of the view";
+  const Json& list = kRequest.at(root, key);
+  if (!list.is_array() || list.size() > kMostPlaces) kRequest.refuse_value(key, expected, list);
+  std::vector<PixelPoint> points;
+  for (const Json& point : list) {
+    const bool is_point = point.is_array() && point.size() == 2 && point[0].is_number() && point[1].is_number();
+    if (is_point) points.push_back({point[0].get<double>(), point[1].get<double>()});
+    if (!is_point || !(std::abs(points.back().x) <= kMaxCoordinate) || !(std::abs(points.back().y) <= kMaxCoordinate))
+      kRequest.refuse_value(key, expected, point);
+  }
+  return points;
+}
+
+}  // namespace
+
+PictureRequest parse_thing_request(std::string_view json) {
+  const Json root = parse_request(json, {"client", "view", "also", "not", "level"});
+  PictureRequest request = of_a_client(root);
+  ThingRequest thing;
+  thing.also = request_places(root, "also");
+  if (root.contains("not")) thing.without = request_places(root, "not");
+  thing.level = request_number(root, "level", -kMostLevel, kMostLevel, 0);
+  if (thing.also.empty())
+    kRequest.refuse("'also' names no place", "send the place of the thing: \"also\": [[12.5, 33]]");
+  request.thing = std::move(thing);
+  return request;
+}
+
+PictureRequest parse_picture_request(std::string_view json) {
+  const Json root = parse_request(json, {"client", "view", "color", "labels", "entropy", "full"});
+  PictureRequest request = of_a_client(root);
   kRequest.flag(root, "color", request.color);
   kRequest.flag(root, "labels", request.labels);
   kRequest.flag(root, "entropy", request.entropy);

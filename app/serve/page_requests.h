@@ -60,6 +60,8 @@ inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a reque
 /// Throws Error(data) with a sentence that names the key, for every value out of its bounds and for keys that are
 /// missing, unknown or given twice. That the view exists is the session's to say.
 PictureRequest parse_picture_request(std::string_view json);
+/// Likewise, of a thing.
+PictureRequest parse_thing_request(std::string_view json);
 
 /// Value of `key` in a query "a=1&b=2"; none where it is missing.
 std::optional<std::string_view> query_value(std::string_view query, std::string_view key);

@@ -134,6 +134,7 @@ PageHost::Places PageServer::places() {
           {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
           {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
           {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+          {"thing", {"POST", [this](const HttpRequest& r) { return post_thing(r); }}},
           {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}},
           {"export/", {"GET", [this, kExports](const HttpRequest& r) {
                          return exports_.download(r.path.substr(r.path.find(kExports) + kExports.size()));
@@ -196,6 +197,15 @@ HttpResponse PageServer::post_picture(const HttpRequest& request) {
   Picture picture = source_.picture(wanted, [&] { return request.abandoned(); });
   picture.overlay_revision += options_.first_revision;
   return bytes_answer(picture_bytes(picture, source_.state()->classes));
+}
+
+HttpResponse PageServer::post_thing(const HttpRequest& request) {
+  const PictureRequest wanted = parse_thing_request(request.body);
+  check_view(static_cast<std::uint64_t>(wanted.view));
+  const Picture picture = source_.picture(wanted, [&] { return request.abandoned(); });
+  if (picture.stale) return bytes_answer(thing_bytes(picture, {}, 1));
+  return bytes_answer(thing_bytes(picture, source_.photo(wanted.view, 0),
+                                  source_.state()->views[static_cast<std::size_t>(wanted.view)].width_px));
 }
 
 HttpResponse PageServer::post_export(const HttpRequest& request) {

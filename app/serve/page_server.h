@@ -152,6 +152,7 @@ class PageServer : NonCopyable {
   HttpResponse get_photo(const HttpRequest& request) const;
   HttpResponse post_event(const HttpRequest& request);
   HttpResponse post_picture(const HttpRequest& request);
+  HttpResponse post_thing(const HttpRequest& request);
   HttpResponse post_export(const HttpRequest& request);
   void check_view(std::uint64_t view) const;
   PageHost::Places places();

@@ -399,9 +399,7 @@ Vec3d point_at(const RayCamera& camera, const RayLimits& limits, const PixelPlac
           origin[2] + direction[2] * distance_m};
 }
 
-namespace {
-
-SeenSurface seen_by(const PoolView& view, const RayLimits& limits) {
+SeenSurface surface_seen_by(const PoolView& view, const RayLimits& limits) {
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   const SurfaceMap& map = view.map;
   std::vector<Vec3d> places(map.distance_m.size(), Vec3d{kNone, kNone, kNone});
@@ -413,6 +411,8 @@ SeenSurface seen_by(const PoolView& view, const RayLimits& limits) {
   }
   return seen_surface(std::move(places), map.width_px, view.camera.world_from_camera.t);
 }
+
+namespace {
 
 double extent_of(std::span<const SeenSurface> seen) {
   Vec3d low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY};
@@ -480,7 +480,7 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
   std::vector<SeenSurface> seen(views.size());
   parallel_for(std::ssize(views), [&](std::int64_t v) {
     const PoolView& view = views[static_cast<std::size_t>(v)];
-    if (!view.map.empty()) seen[static_cast<std::size_t>(v)] = seen_by(view, limits);
+    if (!view.map.empty()) seen[static_cast<std::size_t>(v)] = surface_seen_by(view, limits);
   });
   const double extent = extent_of(seen);
   SurfacePool pool;

@@ -160,6 +160,9 @@ struct PoolView {
   SurfaceMap map;                      ///< empty: not seen yet
 };
 
+/// What the view's map shows.
+SeenSurface surface_seen_by(const PoolView& view, const RayLimits& limits);
+
 /// A cell of the surface, and where it is seen best: in a view's middle rather than at a border of depth, and from
 /// near.
 struct PoolPoint {

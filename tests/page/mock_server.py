@@ -83,7 +83,7 @@ class Room:
         self.run_id, self.trouble, self.turned = "run-1", "", 0  # turned: photographs stand on their heads
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
-        self.polls = 0
+        self.polls, self.things = 0, []
 
     def touch(self):
         with self.changed:
@@ -229,6 +229,20 @@ class Room:
                  png(width, height, [r.translate(doubt) for r in objects], 0) if wish.get("entropy") else b""]
         return b"".join(struct.pack("<I", len(part)) + part for part in parts)
 
+    def thing(self, wish):
+        """The box of the object at the first place, 4 pixels larger for each level; other places widen it, and it ends left of what is no part of it."""
+        self.things.append(wish)
+        (width, height), objects = self.size, self.view(wish["view"])[1]
+        (x, y), level = wish["also"][0], max(-1, min(2, wish["level"]))
+        which = objects[int(y)][int(x)]
+        at = [(i, j) for j in range(height) for i in range(width) if objects[j][i] == which]
+        xs, ys = [i for i, _ in at] + [p[0] for p in wish["also"][1:]], [j for _, j in at] + [p[1] for p in wish["also"][1:]]
+        left, top, bottom = min(xs) - 4 * level, min(ys) - 4 * level, max(ys) + 1 + 4 * level
+        right = min([max(xs) + 1 + 4 * level, *(p[0] for p in wish["not"])])
+        facts = {"width": width, "height": height, "stale": False, "level": level, "least": -1, "most": 2, "share": 0.1, "class_guess": 0,
+                 "outlines": [[[left, top], [right, top], [right, bottom], [left, bottom]]]}
+        return b"".join(struct.pack("<I", len(part)) + part for part in (json.dumps(facts).encode(), b""))
+
     def export(self, what):
         job = {"id": f"x{len(self.exports) + 1}", "what": what, "state": "running", "text": "exported 3/12 frames, 0:09 left", "files": []}
         self.exports.append(job)
@@ -346,6 +360,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
             with room.picture_lock:
                 room.pictures -= 1
             self.answer(data, "application/octet-stream")
+        elif path == "thing":
+            self.answer(room.thing(body), "application/octet-stream")
         elif path == "export":
             self.answer(room.cancel_export(body["cancel"]) if "cancel" in body else room.export(body["what"]))
         elif path:

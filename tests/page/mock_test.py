@@ -516,6 +516,62 @@ class ToolsTest(MockPageCase):
         page.keys("b")
         self.assertEqual(page.complaints(), [])
 
+    def test_a_thing(self):
+        page = self.served(classes=("sofa", "floor"))
+        self.room.faults.add("overlay")
+        red = [200, 60, 60]
+
+        def shown(x, y, is_in=True):
+            photo = self.room.view(0)[0][y][3 * x:3 * x + 3]
+            self.wait_pixel(page, x + 0.5, y + 0.5, [0.6 * a + 0.4 * b for a, b in zip(photo, red)] if is_in else photo, "the mask is another")
+
+        page.keys("1", "m")
+        page.wait("document.getElementById('tool-thing').getAttribute('aria-pressed') == 'true'")
+        page.hover(*self.page_of(page, 70, 45))  # on the sofa: columns 54 to 101, rows 32 to 67
+        shown(98, 40)
+        shown(105, 40, False)
+        self.assertFalse(self.room.events)
+        asked = self.room.things[-1]
+        self.assertEqual((asked["view"], asked["level"], asked["not"], len(asked["also"])), (0, 0, [], 1))
+        self.click(page, 70, 45)
+        self.message(page, "Enter or a click labels it")
+        page.keys("]")
+        shown(104, 40)
+        page.wait_for(lambda: self.room.things[-1]["level"], 1, "it does not grow")
+        page.mouse(*(self.page_of(page, x, 45) for x in (76, 80, 86)))  # from inside: it is split off
+        page.wait_for(lambda: len(self.room.things[-1]["not"]) >= 2, True, "nothing is split off")
+        shown(98, 40, False)
+        self.click(page, 30, 45)  # beside: it is added
+        shown(40, 45)
+        self.assertFalse(self.room.events, "a thing is labelled before it is accepted")
+        page.keys("enter")
+        self.wait_saved(page, 1)
+        event = self.room.events[-1]
+        self.assertEqual((event["fill"], event["class"], event["object"], len(event["points"])), (True, "sofa", 1, 4))
+        self.assertAlmostEqual(min(p[0] for p in event["points"]), 26, delta=0.5)
+        page.hover(*self.page_of(page, 10, 80))
+        self.click(page, 10, 80)
+        self.message(page, "Enter or a click labels it")
+        page.keys("escape")
+        self.message(page, "The thing is dropped")
+        self.click(page, 10, 80)
+        self.message(page, "Enter or a click labels it")
+        self.click(page, 10, 80, saved=2)
+        self.assertEqual(self.room.events[-1]["object"], 2)
+        page.keys("z")
+        self.message(page, "Undone: polygon \"sofa\"")
+        self.assertEqual(page.complaints(), [])
+
+    def test_what_a_click_would_label(self):
+        page = self.served(classes=("sofa",))
+        page.keys("1")
+        page.hover(*self.page_of(page, 70, 45))
+        page.wait_for(lambda: len(self.room.things), 1, "a pointer that rests shows nothing")
+        page.hover(*self.page_of(page, 10, 80))
+        self.click(page, 70, 45, saved=1)
+        self.assertEqual(len(self.room.events[-1]["points"]), 1)
+        self.assertEqual(page.complaints(), [])
+
     def test_one_click_is_deleted(self):
         page = self.served(classes=("sofa", "floor"))
         page.keys("1")

@@ -1,6 +1,6 @@
 // Unit tests of the page's modules, run inside the page: the body of a function that returns a list of what is wrong.
-return Promise.all(['model', 'camera', 'dom', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
-.then(([model, cameras, colors, api, pictures]) => {
+return Promise.all(['model', 'camera', 'dom', 'api', 'pictures', 'thing'].map((name) => import(`./${name}.js`)))
+.then(([model, cameras, colors, api, pictures, thing]) => {
   const wrong = [];
   const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };
   const camera = new cameras.PictureCamera();
@@ -11,6 +11,9 @@ return Promise.all(['model', 'camera', 'dom', 'api', 'pictures'].map((name) => i
   is(cameras.toImage(camera.port, 150, 200).map((v) => v.toFixed(6)), cameras.toImage(fit, 150, 200).map((v) => v.toFixed(6)), 'zoom keeps the point');
   camera.zoom(0.01, 0, 0);
   is(camera.port, fit, 'never smaller than fitted');
+  const ring = [[0, 0], [10, 0], [10, 5], [6, 5], [6, 4], [4, 4], [4, 6], [6, 6], [6, 5], [10, 5], [10, 10], [0, 10]];  // with a hole
+  is([[1, 1], [5, 5], [9, 9], [11, 5]].map((at) => thing.holds([ring], at)), [true, false, true, false], 'a thing may have a hole');
+  is(thing.sidesOf(ring).length, 10, 'which hangs on the rest by no side');
   is(model.strokeParts([[0, 0], [0.2, 0], [5, 0.004], [5.1, 0]], 1), [[[0, 0], [5, 0], [5.1, 0]]], 'a stroke is thinned');
   const parts = model.strokeParts(Array.from({length: 10}, (_, i) => [i * 2, 0]), 1, 4);
   is(parts.map((part) => part.length), [4, 4, 4], 'a long stroke has parts');

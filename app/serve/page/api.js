@@ -78,6 +78,9 @@ export async function getPicture(request) {
   return {...jsonOf(head), color, labels, entropy};
 }
 
+/// What a thing is: {outlines, level, least, most, share, class_guess, stale}; its mask is not decoded.
+export const getThing = async (request) => jsonOf(answerParts(await body(await post('./thing', request), 'arrayBuffer'))[0]);
+
 /// The facts of a scene and its mesh, deflated.
 export async function getScene(isFine) {
   const [facts, mesh] = answerParts(await body(await answered(`./surface?fine=${isFine ? 1 : 0}`, {}, kLongest_ms), 'arrayBuffer'));

@@ -132,7 +132,7 @@ export class ViewCanvas {
   }
 
   /// what: {picture, opacity, marks, others: clicks of other views, selected and hovered mark,
-  /// showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke, outline: {points, color, tip}}
+  /// showNames, ring, brush: {x, y, radius, color}, cross: [x, y], stroke, outline: {points, color, tip}, thing: of thing.js}
   draw(what) {
     const {context, port, image} = this;
     context.setTransform(this.screen.ratio, 0, 0, this.screen.ratio, 0, 0);
@@ -147,6 +147,7 @@ export class ViewCanvas {
     context.globalAlpha = what.opacity;
     if (what.opacity > 0) context.drawImage(this.layer, ...place);
     context.globalAlpha = 1;
+    if (what.thing) this.drawThing(what.thing);
     if (what.stroke) this.drawStroke(what.stroke);
     for (const mark of what.others) this.drawOther(mark, what.showNames || mark === what.hovered);
     for (const mark of what.marks) this.drawMark(mark, what.showNames || mark === what.hovered, mark === what.selected, what.doomed?.has(mark.id));
@@ -166,6 +167,23 @@ export class ViewCanvas {
     context.scale(port.scale, port.scale);
     path(context);
     context.restore();
+  }
+
+  /// A thing that is found: faint where a click would label it, and with a clear outline where it is held.
+  drawThing({outlines, sides, color, isFaint, isHeld, stroke}) {
+    const {context, port} = this;
+    context.globalAlpha = isFaint ? 0.22 : 0.4;
+    context.fillStyle = cssColor(color);
+    context.beginPath();
+    for (const outline of outlines) this.trace(outline, true);
+    context.fill('evenodd');
+    context.globalAlpha = isFaint ? 0.6 : 1;
+    context.lineCap = 'round';
+    const path = () => lines(context, sides.map(([a, b]) => [...toScreen(port, ...a), ...toScreen(port, ...b)]));
+    if (isFaint) stroked(context, 1, '#fff', path);
+    else outlined(context, isHeld ? 2 : 1, isHeld ? '#ffd54a' : cssColor(color), path);
+    context.globalAlpha = 1;
+    if (stroke?.length > 1) outlined(context, 2, '#fff', () => this.trace(stroke, false));
   }
 
   drawStroke(stroke) {

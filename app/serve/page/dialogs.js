@@ -138,6 +138,7 @@ export function keyTable(page) {
       ['b', 'brush', {b: () => tools.use('brush')}],
       ['p', 'polygon: click corners or drag; enter or the first corner closes it, backspace takes a corner back',
        {p: () => tools.use('polygon'), Backspace: () => { if (!tools.takeBack()) remove(); }}],
+      ['m', 'thing: point at one, click, and click again or enter to label it; the wheel grows and shrinks it, a stroke splits off or adds', {m: () => tools.use('thing')}],
       ['x', 'eraser: click or drag over clicks to delete them', {x: () => tools.use('erase')}],
       ['del', 'delete the click under the pointer, or the selected one (click it with its own class)', {Delete: remove}],
       ['1 ... 9', 'choose a class', each([...'123456789'], (digit) => page.chooseByKey(digit))],
@@ -148,7 +149,7 @@ export function keyTable(page) {
       ['a', 'another thing of the chosen class: the next clicks are on it', {a: () => labeller.another()}],
       ['F2', 'rename, merge or delete the chosen class (or double click)', {F2: () => page.change(labeller.classOf(labeller.chosen))}],
       ['i', 'ignore: what nobody should label', {i: () => page.choose(labeller.ignore.name)}],
-      ['[ ]', 'smaller brush, larger brush', {'[': () => page.setRadius(settings.radius - 1), ']': () => page.setRadius(settings.radius + 1)}],
+      ['[ ]', 'smaller brush or thing, larger', {'[': () => tools.resize(-1), ']': () => tools.resize(1)}],
       ['z, shift+z', 'undo, do again', {'z': undo, 'ctrl+z': undo, 'shift+z': redo, 'ctrl+shift+z': redo, 'ctrl+y': redo}],
     ]],
     ['Proposed click', [
@@ -168,7 +169,7 @@ export function keyTable(page) {
     ['Without a mouse', [
       ['shift+arrows', 'move a cross over the view (with ctrl: by one pixel)', {...cross('shift+', false), ...cross('ctrl+shift+', true)}],
       ['enter', 'click at the cross', {Enter: () => page.enter()}],
-      ['esc', 'out of a polygon or a selection', {Escape: () => { tools.drop(); page.select(null); }}],
+      ['esc', 'out of a polygon, a thing or a selection', {Escape: () => { tools.drop(); page.select(null); }}],
     ]],
   ];
 }

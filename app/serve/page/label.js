@@ -138,9 +138,10 @@ class LabelPage extends Page {
 
   enter() {
     const {stage} = this;
-    if (stage.tools.close()) return;
+    if (stage.tools.close() || (stage.tools.thing.isHeld && stage.tools.thing.accept())) return;
     if (!stage.cross) return this.messages.tell('Move a cross over the view with shift and the arrow keys; enter clicks there.');
-    if (stage.tools.kind === 'polygon') stage.tools.clickCorner(stage.cross);
+    if (stage.tools.kind === 'thing') stage.tools.thing.up(stage.cross, true);
+    else if (stage.tools.kind === 'polygon') stage.tools.clickCorner(stage.cross);
     else stage.tools.click({points: [stage.cross], radius: this.settings.radius, view: this.index});
   }
 

@@ -106,10 +106,12 @@ export class Labeller {
     this.changed();
   }
 
+  get nextObject() { return 1 + Math.max(this.object, ...this.marks.map(({object}) => object ?? 0)); }
+
   /// The clicks that follow are on another thing of the chosen class.
   another() {
     if (!this.classes.some(({name}) => name === this.chosen)) return this.messages.tell('First choose the class of the thing.');
-    this.object = 1 + Math.max(this.object, ...this.marks.map(({object}) => object ?? 0));
+    this.object = this.nextObject;
     this.messages.tell(`The next clicks are on another "${this.chosen}".`);
     this.changed();
   }
@@ -144,11 +146,18 @@ export class Labeller {
   }
 
   /// The inside of an outline; `step`: corners that lie nearer to the one before are left out.
-  polygon(view, points, step) {
+  polygon(view, points, step, label = this.label) {
     const {frame, width, height} = this.state.views[view];
     const corners = outlineCorners(this.within(view, points), step);
     if (corners.length < 3) return this.messages.tell('A polygon needs three corners.');
-    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, fill: true, ...this.label});
+    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, fill: true, ...label});
+  }
+
+  /// Pieces of one thing, which nobody has named before.
+  thing(view, outlines, label) {
+    const object = label.class === this.ignore.name ? {} : {object: this.nextObject};
+    for (const outline of outlines) this.polygon(view, outline, 0, {class: label.class, ...object});
+    this.messages.tell(`Labelled: a thing of "${label.class}".`);
   }
 
   /// Takes marks away, each as an undo of its event, which can itself be undone.

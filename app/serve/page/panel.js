@@ -6,7 +6,7 @@ import {duration, orderedViews, reason, short} from './model.js';
 
 // What lies around the view: tools, the proposed click, what is selected, the welcome and the line at the foot.
 
-const kTools = ['brush', 'polygon', 'erase'];
+const kTools = ['brush', 'polygon', 'thing', 'erase'];
 
 export class Bars {
   constructor(page) { this.page = page; }

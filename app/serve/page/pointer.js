@@ -4,7 +4,7 @@
 const kStill_px = 4;
 
 /// Calls: hover(x, y) or hover(null); down(x, y), draw(x, y, event), up(isClick, x, y, event), cancel(isPinch) of the left button, a pen or one
-/// finger; pan(dx, dy) of the right or middle button or two fingers; zoom(factor, x, y), `wheel_px` of the wheel for a factor of e;
+/// finger; pan(dx, dy) of the right or middle button or two fingers; zoom(factor, x, y, event of the wheel), `wheel_px` of the wheel for a factor of e;
 /// scrolls(): whether the wheel is the page's. Points are CSS pixels of the element.
 export function followPointer(element, calls) {
   const pointers = new Map();
@@ -84,6 +84,6 @@ export function followPointer(element, calls) {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 30 : event.deltaMode === 2 ? 300 : 1;
     const step = Math.max(-240, Math.min(240, event.deltaY * lines));
-    calls.zoom(Math.exp(-step / (event.ctrlKey ? 120 : calls.wheel_px ?? 400)), ...at(event));
+    calls.zoom(Math.exp(-step / (event.ctrlKey ? 120 : calls.wheel_px ?? 400)), ...at(event), event);
   }, {passive: false});
 }

@@ -23,7 +23,8 @@ export class Stage {
     this.shown = null;         // number of the view that the person sees
     this.tools = new Tools(this);
     page.followHand({
-      hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; page.redraw(); },
+      hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; this.tools.thing.follow(x, y); page.redraw(); },
+      zoom: (factor, x, y, wheel) => { if (!wheel || wheel.ctrlKey || !this.tools.thing.wheel(factor)) page.look('zoom', factor, x, y); },
       down: (x, y) => this.tools.down(x, y),
       draw: (x, y) => this.tools.draw(x, y),
       up: (isClick, x, y) => this.tools.up(x, y, isClick),
@@ -114,13 +115,13 @@ export class Stage {
                `${index} ${this.kind} ${overlay?.version} ${paints.map(({id, color}) => id + color).join()}`);
 
     const hovered = this.pointer && (this.markUnder(...this.pointer) ?? this.markUnder(...this.pointer, others));
-    const hasBrush = this.pointer && !this.cross && this.aim && !view.held_out && tools.kind !== 'polygon';
+    const hasBrush = this.pointer && !this.cross && this.aim && !view.held_out && ['brush', 'erase'].includes(tools.kind);
     const brush = hasBrush && (tools.kind === 'erase' || labeller.chosen !== null)
       ? {x: this.aim[0], y: this.aim[1], radius: this.settings.radius, color: tools.kind === 'erase' ? [255, 107, 94] : this.chosenRow.color} : null;
     const outline = tools.outline && {points: tools.outline, color: this.chosenRow.color, tip: this.aim, closes: tools.closes};
     const ring = labeller.proposal?.view === index ? labeller.proposal.at : null;
     this.view.draw({picture, opacity: this.opacity, marks, others, hovered, selected: marks.find(({id}) => id === this.selected), doomed: tools.doomed,
-                    showNames: this.settings.names, ring, brush, cross: this.cross, stroke: tools.stroke, outline});
+                    showNames: this.settings.names, ring, brush, cross: this.cross, stroke: tools.stroke, outline, thing: tools.thing.picture});
     this.tellAim(hovered, view.held_out);
   }
 

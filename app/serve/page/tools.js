@@ -1,6 +1,7 @@
-// What the pointer does to the view: a brush that labels, a polygon, an eraser of marks.
+// What the pointer does to the view: a brush that labels, a polygon, whole things, an eraser of marks.
 import {isInside} from './camera.js';
 import {markAt} from './model.js';
+import {ThingTool} from './thing.js';
 
 const kSnap_px = 9;  // of the screen: what lies nearer is meant
 const kCorner_px = 4;
@@ -9,12 +10,13 @@ export class Tools {
   constructor(stage) {
     Object.assign(this, {stage, page: stage.page, labeller: stage.labeller});
     this.kind = 'brush';
+    this.thing = new ThingTool(this);
     this.forget();
   }
 
   /// What is under way is dropped; a sentence that says so, or nothing.
   forget() {
-    const dropped = this.stroke ? 'The stroke is dropped. ' : this.outline ? 'The polygon is dropped. ' : '';
+    const dropped = this.thing.forget() ? 'The thing is dropped. ' : this.stroke ? 'The stroke is dropped. ' : this.outline ? 'The polygon is dropped. ' : '';
     this.stroke = null;
     this.outline = null;
     this.doomed = new Map();
@@ -32,10 +34,14 @@ export class Tools {
     this.page.messages.tell(dropped + {
       brush: 'Brush: a click or a drag labels.',
       polygon: 'Polygon: click its corners, or drag along its edge; the first corner, a double click or enter closes it.',
+      thing: 'Thing: point at one, click, and click again to label it. The wheel grows and shrinks it, a stroke splits off or adds.',
       erase: 'Eraser: click or drag over clicks, strokes and polygons to delete them.',
     }[kind]);
     this.page.redraw();
   }
+
+  /// Of the brush, or of the thing that is shown.
+  resize(step) { if (!this.thing.resize(step)) this.page.setRadius(this.stage.settings.radius + step); }
 
   get slack() { return kSnap_px / this.stage.view.port.scale; }
 
@@ -48,6 +54,8 @@ export class Tools {
     if (!this.isIn) return;
     const {color, isIgnore} = stage.chosenRow;
     if (this.kind === 'brush') this.stroke = {points: [at], radius: stage.settings.radius, color, isIgnore, view: stage.shown, label: this.labeller.label};
+    if (this.kind === 'thing') this.thing.down(at);
+    else this.thing.forget();
     if (this.kind === 'erase') {
       this.erasedAt = null;
       this.doom(at);
@@ -61,6 +69,7 @@ export class Tools {
     const {width, height} = this.stage.view.image;
     const at = [Math.min(Math.max(ix, 0), width - 0.01), Math.min(Math.max(iy, 0), height - 0.01)];
     if (this.kind === 'brush') this.stroke?.points.push(at);
+    if (this.kind === 'thing') this.thing.draw(at);
     if (this.kind === 'erase') this.doom(at);
     if (this.kind === 'polygon') this.corner(at, kCorner_px);
     this.page.redraw();
@@ -76,6 +85,7 @@ export class Tools {
       if (mark && (mark.name === stroke.label.class || stroke.label.class === null)) this.page.select(mark);
       else this.click({...stroke, points: isClick ? stroke.points.slice(0, 1) : stroke.points});
     }
+    if (this.kind === 'thing') this.thing.up(at, isClick);
     if (this.kind === 'erase') this.finishErasing();
     if (this.kind === 'polygon' && isClick) this.clickCorner(at);
     this.page.redraw();
@@ -84,7 +94,7 @@ export class Tools {
   /// The browser took the pointer away, or a second finger came, which says that the first did not label.
   cancel(isPinch) {
     if (this.stroke && !isPinch) this.page.messages.tell('Not stored: the stroke was broken off. Draw it again.');
-    this.stroke = null;
+    this.stroke = this.thing.stroke = null;
     this.doomed = new Map();
     this.page.redraw();
   }

@@ -22,6 +22,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kFineViews = 12;
+constexpr std::size_t kKnownThings = 4;   // views
 constexpr double kFinePixels = 100'000;   // of a view's own surface: more would make its labels slow
 constexpr double kPhotoPixels = 800'000;  // of a photograph that labels cling to: more would make them slow
 constexpr double kQuickPicture_s = 0.15;
@@ -50,7 +51,9 @@ Picture ViewPictures::make(const PictureRequest& request) {
                 fmt::format("picture: view {} is none of the {}", request.view, loop_.views().size()),
                 fmt::format("name one from 0 to {}", loop_.views().size() - 1));
   const Clock::time_point start = Clock::now();
-  Picture made = request.color || request.full ? rendered(request) : labels_of_view(request);
+  Picture made = request.thing                   ? thing(request.view, *request.thing)
+                 : request.color || request.full ? rendered(request)
+                                                 : labels_of_view(request);
   made.render_ms = 1e3 * seconds_since(start);
   return made;
 }
@@ -83,6 +86,75 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
     scale_marks(picture, view.camera.camera);
   }
   if (request.entropy) picture.entropy = std::move(labels.entropy);
+  return picture;
+}
+
+const ThingTree& ViewPictures::things_of(int number) {
+  const PoolView& view = loop_.view(number);
+  const auto known = std::find_if(things_.begin(), things_.end(),
+                                  [&](const KnownThings& k) { return k.view == number && k.step == view.map.step; });
+  if (known != things_.end()) {
+    std::rotate(things_.begin(), known, known + 1);
+    return things_.front().tree;
+  }
+  std::erase_if(things_, [&](const KnownThings& k) { return k.view == number; });
+  if (things_.size() == kKnownThings) things_.pop_back();
+  const StoredFrame& photo = *view.photo;
+  Image<std::uint8_t> smaller;
+  const double size = std::sqrt(kThingPixels / (double{1} * photo.width_px * photo.height_px));
+  if (size < 1) {
+    smaller = resize_area({photo.width_px, photo.height_px, 3, photo.rgb},
+                          std::max(1, static_cast<std::int32_t>(photo.width_px * size)),
+                          std::max(1, static_cast<std::int32_t>(photo.height_px * size)));
+  }
+  const SeenSurface seen = view.map.empty() ? SeenSurface{} : surface_seen_by(view, training_.session().limits);
+  things_.insert(things_.begin(), {number, view.map.step,
+                                   ThingTree({.width_px = size < 1 ? smaller.width_px : photo.width_px,
+                                              .height_px = size < 1 ? smaller.height_px : photo.height_px,
+                                              .rgb = size < 1 ? smaller.pixels : photo.rgb,
+                                              .surface = view.map.empty() ? nullptr : &seen})});
+  return things_.front().tree;
+}
+
+// The class that most of the thing's surface has so far.
+int ViewPictures::guessed_class(int number, const Thing& thing, const ThingTree& tree) const {
+  const std::vector<float>& probability = loop_.pool_probability();
+  const auto v = static_cast<std::size_t>(number);
+  if (probability.empty() || v >= loop_.pool().point_of_pixel.size()) return -1;
+  const SurfaceMap& map = loop_.view(number).map;
+  const std::vector<std::int32_t>& points = loop_.pool().point_of_pixel[v];
+  const auto width = static_cast<std::size_t>(loop_.classes());
+  std::vector<double> sum(width, 0);
+  for (std::size_t i = 0; i < points.size() && points.size() == map.distance_m.size(); ++i) {
+    if (points[i] < 0) continue;
+    const auto x = static_cast<std::int64_t>(i) % map.width_px, y = static_cast<std::int64_t>(i) / map.width_px;
+    const std::int64_t at = (2 * y + 1) * tree.height_px() / (2 * map.height_px) * tree.width_px() +
+                            (2 * x + 1) * tree.width_px() / (2 * map.width_px);
+    if (!thing.mask[static_cast<std::size_t>(at)]) continue;
+    for (std::size_t c = 0; c < width; ++c)
+      sum[c] += static_cast<double>(probability[static_cast<std::size_t>(points[i]) * width + c]);
+  }
+  const auto best = std::max_element(sum.begin(), sum.end());
+  return *best > 0 ? training_.session().plan.class_of_logit[static_cast<std::size_t>(best - sum.begin())] : -1;
+}
+
+Picture ViewPictures::thing(int number, const ThingRequest& request) {
+  const ThingTree& tree = things_of(number);
+  const StoredFrame& photo = *loop_.view(number).photo;
+  const auto places = [&](const std::vector<PixelPoint>& points) {
+    std::vector<PixelPlace> out;
+    for (const PixelPoint& p : points)
+      out.push_back(
+          {std::clamp(static_cast<std::int32_t>(p.x * tree.width_px() / photo.width_px), 0, tree.width_px() - 1),
+           std::clamp(static_cast<std::int32_t>(p.y * tree.height_px() / photo.height_px), 0, tree.height_px() - 1)});
+    return out;
+  };
+  const Thing thing = tree.choose(places(request.also), places(request.without), request.level);
+  Picture picture;
+  picture.width_px = tree.width_px();
+  picture.height_px = tree.height_px();
+  for (const bool is_in : thing.mask) picture.label.push_back(is_in ? 0 : kVoid);
+  picture.thing = {thing.level, thing.least, thing.most, thing.share, guessed_class(number, thing, tree)};
   return picture;
 }
 

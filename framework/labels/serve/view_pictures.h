@@ -14,6 +14,7 @@
 #include "labels/serve/label_loop.h"
 #include "scene/scene.h"
 #include "surface/surface_graph.h"
+#include "surface/things.h"
 
 namespace semfield {
 
@@ -23,13 +24,26 @@ struct SeenMark {
   std::vector<PixelPoint> points;  ///< pixels of the picture
 };
 
+/// What a click means: places of the view on the thing and beside it (ThingTree::choose).
+struct ThingRequest {
+  std::vector<PixelPoint> also, without;  ///< pixels of the view; what lies outside counts for the edge
+  int level = 0;
+};
+
 struct PictureRequest {
   std::string client;  ///< a later request of the same client takes the place of one that waits
   int view = 0;        ///< number in LabelState::views
   bool color = false;  ///< rendered colour
   bool labels = true;
   bool entropy = false;
-  bool full = false;  ///< every pixel rendered: the view's final labels
+  bool full = false;                                 ///< every pixel rendered: the view's final labels
+  std::optional<ThingRequest> thing = std::nullopt;  ///< its mask alone is wanted, not what is named above
+};
+
+struct ThingFacts {
+  int level = 0, least = 0, most = 0;  ///< as in Thing
+  double share = 0;                    ///< of the picture
+  int class_guess = -1;                ///< index; -1: none
 };
 
 /// Maps row by row; those that were not requested are empty.
@@ -41,6 +55,7 @@ struct Picture {
   std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
   std::uint64_t overlay_revision = 0;
   double render_ms = 0;
+  std::optional<ThingFacts> thing = std::nullopt;  ///< then `label` is 0 on the thing and kVoid elsewhere
   bool stale = false;  ///< nothing was made: a later request took the place, or the session ends
 };
 
@@ -56,6 +71,8 @@ std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceMap& map
 std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const SurfaceMap& map, int own,
                                  std::span<const PoolView> views, const RayLimits& limits, double tolerance_m);
 
+inline constexpr double kThingPixels = 260'000;
+
 /// Made by the thread that trains.
 class ViewPictures {
  public:
@@ -64,8 +81,8 @@ class ViewPictures {
   ViewPictures(Trainer& training, LabelLoop& loop, PhotoReader read_photo);
 
   /// Labels of the view's surface at its photograph's size, at first at that of training; with colour it is rendered,
-  /// as large as it can be soon, and `full` whole, however long that takes. Throws Error(usage) for a view that is not
-  /// there.
+  /// as large as it can be soon, and `full` whole, however long that takes. A thing is a mask of at most kThingPixels.
+  /// Throws Error(usage) for a view that is not there.
   Picture make(const PictureRequest& request);
 
   /// Clicks that pictures of other views show.
@@ -89,11 +106,21 @@ class ViewPictures {
   double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
   Picture rendered(const PictureRequest& request);
   Image<std::uint8_t> larger_photo(int view) const;
+  // The tree of a view by its map as it is now.
+  struct KnownThings {
+    int view = 0;
+    std::int64_t step = 0;  // of the map
+    ThingTree tree;
+  };
+  const ThingTree& things_of(int view);
+  int guessed_class(int view, const Thing& thing, const ThingTree& tree) const;
+  Picture thing(int view, const ThingRequest& request);
 
   Trainer& training_;
   LabelLoop& loop_;
   PhotoReader read_photo_;
-  std::vector<Fine> fine_;  // the one looked at last comes first
+  std::vector<Fine> fine_;           // the one looked at last comes first
+  std::vector<KnownThings> things_;  // likewise
   double rays_per_s_ = 60'000;
   std::vector<Annotations::Mark> marks_;
 };

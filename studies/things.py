@@ -1,0 +1,177 @@
+#!/usr/bin/env python3
+"""How well one click finds a thing on the labelling page, and how long an answer takes.
+
+    studies/things.py configs/quickstart.yaml --ignore wall,floor,ceiling --set scene.instances=pieces
+
+A simulated person clicks the most interior point of an instance in a view, then up to twice the most interior point of
+the largest wrong region. IoU is that of the mask at the photograph's size; void pixels do not count. `wheel` is the best
+of the levels that two turns of the wheel reach after one click. Training continues meanwhile. Segments of the scene
+serve as truth alone: the page does not know them.
+"""
+import argparse
+import json
+import pathlib
+import random
+import signal
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+
+import numpy as np
+import yaml
+from scipy import ndimage
+
+import semfield as sf
+from common import settings, table
+from labelling import Page
+from semfield.program import program
+
+
+def png_grey(data):
+    """[H, W] of a grey or palette PNG of 8 or 16 bits a pixel."""
+    width, height, bits = struct.unpack_from(">IIB", data, 16)
+    packed, at = b"", 8
+    while at < len(data):
+        size, kind = struct.unpack_from(">I4s", data, at)
+        packed += data[at + 8:at + 8 + size] if kind == b"IDAT" else b""
+        at += size + 12
+    step = bits // 8
+    rows = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(height, step * width + 1)
+    out = np.zeros((height, step * width), np.int64)
+    for y, row in enumerate(rows):
+        above = out[y - 1] if y else np.zeros(step * width, np.int64)
+        own = row[1:].astype(np.int64)
+        if row[0] == 2:
+            own = (own + above) & 255
+        elif row[0] != 0:
+            left, corner = [0] * step, [0] * step
+            values = own.tolist()
+            for i, value in enumerate(values):
+                k, up = i % step, int(above[i])
+                a, c = left[k], corner[k]
+                nearest = min((abs(up - c), 0, a), (abs(a - c), 1, up), (abs(a + up - 2 * c), 2, c))[2]
+                values[i] = (value + {1: a, 3: (a + up) // 2, 4: nearest}[int(row[0])]) & 255
+                left[k], corner[k] = values[i], up
+            own = np.array(values)
+        out[y] = own
+    return out if step == 1 else 256 * out[:, ::2] + out[:, 1::2]
+
+
+def truths(config, folder, words, ignored):
+    """Of the number of a frame in the scene: [H, W] numbers of instances, 0 for stuff, -1 for void."""
+    subprocess.run([program(), "-q", "pack", config, "--format", "replica", "--out", folder, *words], check=True)
+    classes = yaml.safe_load(pathlib.Path(folder, "classes.yaml").read_text())
+    stuff = [c["id"] for c in classes if c["name"] in ignored]
+    void = [c["id"] for c in classes if c["ignore"]]
+
+    def of(index):
+        kinds, things = (png_grey(pathlib.Path(folder, name, f"{name}_{index}.png").read_bytes())
+                         for name in ("semantic_class", "semantic_instance"))
+        return np.where(np.isin(kinds, void), -1, np.where(np.isin(kinds, stuff), 0, things))
+    return of
+
+
+def interior(mask):
+    """[x, y] of the middle of the pixel that lies farthest inside."""
+    distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    y, x = np.unravel_index(int(distance.argmax()), mask.shape)
+    return [float(x) + 0.5, float(y) + 0.5]
+
+
+def largest(mask):
+    parts, count = ndimage.label(mask)
+    return parts == 1 + int(np.bincount(parts.ravel())[1:].argmax()) if count else mask
+
+
+class Person:
+    def __init__(self, page):
+        self.page, self.answers = page, []
+
+    def thing(self, view, also, without, level):
+        begin = time.perf_counter()
+        data = self.page.request("/thing", {"client": "person", "view": view, "also": also, "not": without,
+                                            "level": level})
+        self.answers.append(1e3 * (time.perf_counter() - begin))
+        size = struct.unpack_from("<I", data)[0]
+        return json.loads(data[4:4 + size]), png_grey(data[8 + size:]) > 0
+
+    def course(self, view, truth, instance):
+        """IoU after each of three clicks, and the best within two turns of the wheel."""
+        wanted, counts = truth == instance, truth >= 0
+        iou = lambda mask: float((mask & wanted).sum() / ((mask & counts) | wanted).sum())
+        also, without, found, wheel = [interior(wanted)], [], [], 0.0
+        for click in range(3):
+            facts, mask = self.thing(view, also, without, 0)
+            if mask.shape != wanted.shape:
+                sys.exit(f"things: the mask has {mask.shape} pixels, the truth {wanted.shape}")
+            found.append(iou(mask))
+            if click == 0:
+                levels = range(max(-2, facts["least"]), min(2, facts["most"]) + 1)
+                wheel = max(iou(self.thing(view, also, without, level)[1]) for level in levels)
+            missing, extra = largest(wanted & ~mask), largest(mask & counts & ~wanted)
+            if not missing.any() and not extra.any():
+                return found + [found[-1]] * (2 - click), wheel
+            if missing.sum() >= extra.sum():
+                also.append(interior(missing))
+            else:
+                without.append(interior(extra))
+        return found, wheel
+
+
+def main():
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("config", help="of a scene with labels and instances")
+    p.add_argument("--ignore", default="", help="names of classes that are stuff, separated by commas")
+    p.add_argument("--things", type=int, default=200, help="instances in views, spread over views")
+    p.add_argument("--pixels", type=int, default=600, help="labelled ones that an instance has at least")
+    p.add_argument("--geometry", type=float, default=60, help="seconds of training before the first click")
+    p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    options = p.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the served run ends too
+    with sf.open(options.config, settings(options.set)) as run:
+        names = [frame.name for frame in run.frames]
+    words = [word for setting in options.set for word in ("--set", setting)]
+    with tempfile.TemporaryDirectory() as folder:
+        truth_of = truths(options.config, f"{folder}/truth", words, options.ignore.split(","))
+        page = Page(options.config, folder, [*words, "--set", "scene.labels.frames=none"])
+        try:
+            while not (run := page.state()["run"])["geometry_ready"] or run["train_s"] < options.geometry:
+                time.sleep(0.2)
+            cases = []
+            for number, view in enumerate(page.state()["views"]):
+                if view["held_out"]:
+                    continue
+                truth = truth_of(names.index(view["frame"]))
+                sizes = np.bincount(truth[truth > 0].ravel(), minlength=1)
+                cases += [(number, truth, int(i)) for i in np.flatnonzero(sizes >= options.pixels)]
+            random.Random(1).shuffle(cases)
+            cases = sorted(cases[:options.things], key=lambda case: case[0])
+            person, rows, wheels, firsts, seen = Person(page), [], [], [], -1
+            for view, truth, instance in cases:
+                before = len(person.answers)
+                found, wheel = person.course(view, truth, instance)
+                rows.append(found)
+                wheels.append(wheel)
+                if view != seen:
+                    firsts.append(person.answers[before])
+                seen = view
+        finally:
+            page.close()
+    medians = [statistics.median(row[click] for row in rows) for click in range(3)]
+    print(table(["", "1 click", "2 clicks", "3 clicks", "1 click and the wheel"],
+                [["median IoU", *(f"{m:.3f}" for m in medians), f"{statistics.median(wheels):.3f}"],
+                 ["mean IoU", *(f"{statistics.mean(row[c] for row in rows):.3f}" for c in range(3)),
+                  f"{statistics.mean(wheels):.3f}"]]))
+    print(f"things: things={len(rows)} iou1={medians[0]:.3f} iou2={medians[1]:.3f} iou3={medians[2]:.3f} "
+          f"wheel={statistics.median(wheels):.3f} answer_p50_ms={statistics.median(person.answers):.0f} "
+          f"answer_p95_ms={np.percentile(person.answers, 95):.0f} first_p50_ms={statistics.median(firsts):.0f} "
+          f"first_p95_ms={np.percentile(firsts, 95):.0f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
