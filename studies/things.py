@@ -22,7 +22,6 @@ import time
 import zlib
 
 import numpy as np
-import yaml
 from scipy import ndimage
 
 import semfield as sf
@@ -61,17 +60,20 @@ def png_grey(data):
     return out if step == 1 else 256 * out[:, ::2] + out[:, 1::2]
 
 
-def truths(config, folder, words, ignored):
+def truths(run, options, words, folder):
     """Of the number of a frame in the scene: [H, W] numbers of instances, 0 for stuff, -1 for void."""
-    subprocess.run([program(), "-q", "pack", config, "--format", "replica", "--out", folder, *words], check=True)
-    classes = yaml.safe_load(pathlib.Path(folder, "classes.yaml").read_text())
-    stuff = [c["id"] for c in classes if c["name"] in ignored]
-    void = [c["id"] for c in classes if c["ignore"]]
+    names = [frame.name for frame in run.frames]
+    things = {c.id for c in run.classes if c.name not in options.ignore.split(",")}
+    valid = [c.id for c in run.classes]
+    if not options.instances:
+        subprocess.run([program(), "-q", "pack", options.config, "--format", "replica", "--out", folder, *words],
+                       check=True)
 
-    def of(index):
-        kinds, things = (png_grey(pathlib.Path(folder, name, f"{name}_{index}.png").read_bytes())
-                         for name in ("semantic_class", "semantic_instance"))
-        return np.where(np.isin(kinds, void), -1, np.where(np.isin(kinds, stuff), 0, things))
+    def of(name):
+        file = pathlib.Path(options.instances, f"{name}.png") if options.instances else \
+            pathlib.Path(folder, "semantic_instance", f"semantic_instance_{names.index(name)}.png")
+        labels, instances = run.pixels(name).labels, png_grey(file.read_bytes())
+        return np.where(np.isin(labels, list(things)), instances, np.where(np.isin(labels, valid), 0, -1))
     return of
 
 
@@ -125,6 +127,7 @@ class Person:
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("config", help="of a scene with labels and instances")
+    p.add_argument("--instances", help="folder of instance images FRAME.png; without it, `semfield pack` writes them")
     p.add_argument("--ignore", default="", help="names of classes that are stuff, separated by commas")
     p.add_argument("--things", type=int, default=200, help="instances in views, spread over views")
     p.add_argument("--pixels", type=int, default=600, help="labelled ones that an instance has at least")
@@ -132,20 +135,18 @@ def main():
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = p.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the served run ends too
-    with sf.open(options.config, settings(options.set)) as run:
-        names = [frame.name for frame in run.frames]
     words = [word for setting in options.set for word in ("--set", setting)]
-    with tempfile.TemporaryDirectory() as folder:
-        truth_of = truths(options.config, f"{folder}/truth", words, options.ignore.split(","))
+    with tempfile.TemporaryDirectory() as folder, sf.open(options.config, settings(options.set)) as run:
+        truth_of = truths(run, options, words, f"{folder}/truth")
         page = Page(options.config, folder, [*words, "--set", "scene.labels.frames=none"])
         try:
-            while not (run := page.state()["run"])["geometry_ready"] or run["train_s"] < options.geometry:
+            while not (now := page.state()["run"])["geometry_ready"] or now["train_s"] < options.geometry:
                 time.sleep(0.2)
             cases = []
             for number, view in enumerate(page.state()["views"]):
                 if view["held_out"]:
                     continue
-                truth = truth_of(names.index(view["frame"]))
+                truth = truth_of(view["frame"])
                 sizes = np.bincount(truth[truth > 0].ravel(), minlength=1)
                 cases += [(number, truth, int(i)) for i in np.flatnonzero(sizes >= options.pixels)]
             random.Random(1).shuffle(cases)

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "core/check.h"
+#include "core/joined_sets.h"
 
 namespace semfield {
 
@@ -78,6 +79,18 @@ std::vector<Vec3d> smooth_normals(const SeenSurface& seen, std::int32_t radius) 
 }
 
 }  // namespace
+
+void ThingTree::Region::add(const Region& other) {
+  pixels += other.pixels;
+  rim += other.rim;
+  seen += other.seen;
+  distance += other.distance;
+  color = color + other.color;
+  square = square + other.square;
+  place = place + other.place;
+  normal = normal + other.normal;
+  for (std::size_t k = 0; k < 4; ++k) box[k] = k < 2 ? std::min(box[k], other.box[k]) : std::max(box[k], other.box[k]);
+}
 
 struct ThingTree::Pixel {
   Vec3d color;
@@ -156,24 +169,17 @@ void ThingTree::find_regions(const std::vector<Pixel>& pixels) {
   std::vector<Edge> edges(found.size());
   for (const Edge& edge : found) edges[begin[step_of(edge.weight)]++] = edge;
 
-  std::vector<std::int32_t> up(pixels.size()), size(pixels.size(), 1);
+  JoinedSets sets(pixels.size());
+  std::vector<std::int32_t> size(pixels.size(), 1);
   std::vector<float> most(pixels.size(), static_cast<float>(kRegionScale));
-  for (std::size_t i = 0; i < up.size(); ++i) up[i] = static_cast<std::int32_t>(i);
-  const auto root_of = [&](std::int32_t i) {
-    while (up[static_cast<std::size_t>(i)] != i) {
-      auto& above = up[static_cast<std::size_t>(i)];
-      i = above = up[static_cast<std::size_t>(above)];
-    }
-    return i;
-  };
   const auto join_where = [&](const auto& may_join) {
     for (const Edge& edge : edges) {
-      auto a = static_cast<std::size_t>(root_of(edge.a)), b = static_cast<std::size_t>(root_of(edge.b));
+      const auto a = static_cast<std::size_t>(sets.of(edge.a)), b = static_cast<std::size_t>(sets.of(edge.b));
       if (a == b || !may_join(a, b, edge.weight)) continue;
-      if (size[a] < size[b]) std::swap(a, b);
-      up[b] = static_cast<std::int32_t>(a);
-      size[a] += size[b];
-      most[a] = edge.weight + static_cast<float>(kRegionScale / size[a]);
+      sets.join(a, b);
+      const std::size_t both = std::min(a, b);
+      size[both] = size[a] + size[b];
+      most[both] = edge.weight + static_cast<float>(kRegionScale / size[both]);
     }
   };
   join_where([&](std::size_t a, std::size_t b, float weight) { return weight <= most[a] && weight <= most[b]; });
@@ -182,26 +188,27 @@ void ThingTree::find_regions(const std::vector<Pixel>& pixels) {
 
   std::vector<std::int32_t> number(pixels.size(), -1);
   for (std::size_t i = 0; i < pixels.size(); ++i) {
-    std::int32_t& own = number[static_cast<std::size_t>(root_of(static_cast<std::int32_t>(i)))];
+    std::int32_t& own = number[sets.of(i)];
     if (own < 0) {
       own = leaves_++;
       nodes_.emplace_back();
     }
     leaf_[i] = own;
-    Region& region = nodes_[static_cast<std::size_t>(own)].region;
-    const Pixel& pixel = pixels[i];
     const auto x = static_cast<std::int32_t>(i) % width_px_, y = static_cast<std::int32_t>(i) / width_px_;
-    region.pixels += 1;
-    region.rim += x == 0 || y == 0 || x + 1 == width_px_ || y + 1 == height_px_ ? 1 : 0;
-    region.color = region.color + pixel.color;
-    for (int c = 0; c < 3; ++c) region.square[c] += pixel.color[c] * pixel.color[c];
-    region.box = {std::min(region.box[0], x), std::min(region.box[1], y), std::max(region.box[2], x),
-                  std::max(region.box[3], y)};
-    if (!(pixel.distance > 0)) continue;
-    region.seen += 1;
-    region.distance += pixel.distance;
-    region.place = region.place + pixel.place;
-    region.normal = region.normal + pixel.normal;
+    const Pixel& pixel = pixels[i];
+    Region region;
+    region.pixels = 1;
+    region.color = pixel.color;
+    region.box = {x, y, x, y};
+    region.rim = x == 0 || y == 0 || x + 1 == width_px_ || y + 1 == height_px_ ? 1 : 0;
+    for (int c = 0; c < 3; ++c) region.square[c] = pixel.color[c] * pixel.color[c];
+    if (pixel.distance > 0) {
+      region.seen = 1;
+      region.distance = pixel.distance;
+      region.place = pixel.place;
+      region.normal = pixel.normal;
+    }
+    nodes_[static_cast<std::size_t>(own)].region.add(region);
   }
 }
 
@@ -305,18 +312,7 @@ void ThingTree::join(std::vector<Pair> pairs) {
     joined.parts = {a, b};
     joined.cost = cost;
     joined.region = node(a).region;
-    Region& region = joined.region;
-    const Region& other = node(b).region;
-    region.pixels += other.pixels;
-    region.rim += other.rim;
-    region.seen += other.seen;
-    region.distance += other.distance;
-    region.color = region.color + other.color;
-    region.square = region.square + other.square;
-    region.place = region.place + other.place;
-    region.normal = region.normal + other.normal;
-    for (std::size_t k = 0; k < 4; ++k)
-      region.box[k] = k < 2 ? std::min(region.box[k], other.box[k]) : std::max(region.box[k], other.box[k]);
+    joined.region.add(node(b).region);
     for (const std::int32_t part : {a, b}) {
       nodes_[static_cast<std::size_t>(part)].parent = own;
       if (part >= leaves_) joined.cost = std::max(joined.cost, node(part).cost);

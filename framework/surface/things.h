@@ -47,6 +47,7 @@ class ThingTree {
     double seen = 0, distance = 0;  // of pixels whose place is known
     Vec3d color, square, place, normal;
     std::array<std::int32_t, 4> box{1 << 30, 1 << 30, -1, -1};  // least and most column and row
+    void add(const Region& other);
   };
   // Sums over pairs of pixels on both sides.
   struct Border {

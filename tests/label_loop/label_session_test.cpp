@@ -977,6 +977,31 @@ TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
   }
 }
 
+TEST_F(PicturedRoom, AThingHoldsItsPlaceAndHasTheClassOfItsSurface) {
+  PictureRequest request = of_view(2);
+  request.thing = ThingRequest{.also = {{24.5, 18.5}}};
+  const Picture first = pictures.make(request);
+  ASSERT_TRUE(first.thing);
+  expect_whole(first, false, true, false);
+  EXPECT_EQ(first.label[18 * 48 + 24], 0);
+  const auto inside = std::count(first.label.begin(), first.label.end(), 0);
+  EXPECT_NEAR(first.thing->share, static_cast<double>(inside) / (48 * 36), 1e-9);
+  EXPECT_EQ(first.thing->class_guess, -1) << "nothing is learned";
+  EXPECT_EQ(pictures.make(request).label, first.label);
+  request.thing->level = first.thing->most;
+  EXPECT_GT(pictures.make(request).thing->share, 1 / 1.2);
+  request.thing = ThingRequest{.also = {{-5, 1e5}}};
+  EXPECT_EQ(pictures.make(request).label[35 * 48], 0) << "what lies outside counts for the edge";
+  loop->learn(clicks(8));
+  request.thing = ThingRequest{.also = {{24.5, 18.5}}};
+  const Picture known = pictures.make(request);
+  EXPECT_EQ(known.label, first.label);
+  std::map<std::int16_t, int> votes;
+  const std::vector<std::int16_t> labels = loop->labels_of(2).label;
+  for (std::size_t i = 0; i < labels.size(); ++i) votes[known.label[i] == 0 ? labels[i] : kVoid] += 1;
+  EXPECT_GT(3 * votes[static_cast<std::int16_t>(known.thing->class_guess)], inside);
+}
+
 TEST_F(PicturedRoom, WrongRequestsAreRefusedWithASentence) {
   for (const int view : {-1, 9})
     EXPECT_HAS(error_of(ErrorKind::usage, [&] { (void)pictures.make(of_view(view)); }),

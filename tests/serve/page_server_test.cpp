@@ -140,7 +140,7 @@ TEST_F(ServedPage, RefusedEventsSayWhyAndWhatToDo) {
             (Json{{"error", "no class 'nobody'"}, {"code", "labels.class.unknown"}, {"remedy", "add it first"}}));
   EXPECT_EQ(post("event", click("a-1", "full disk")).status, 503);
   EXPECT_EQ(post("event", click("a-1", "broken")).status, 500);
-  for (const char* to : {"event", "picture", "export"})  // other bytes: fuzz_page and fuzz_http of tests/fuzz
+  for (const char* to : {"event", "picture", "thing", "export"})  // other bytes: fuzz_page and fuzz_http of tests/fuzz
     for (const char* bytes : {"{", "", "\xFF\x00", "{}!"}) EXPECT_EQ(post(to, bytes).status, 400) << to << bytes;
   EXPECT_TRUE(source_.requests.empty());
   EXPECT_EQ(source_.events().size(), 0u);
@@ -173,6 +173,53 @@ TEST_F(ServedPage, MapsThatWereNotAskedForHaveNoBytes) {
   EXPECT_EQ(parts[1], "");
   EXPECT_NE(parts[2], "");
   EXPECT_EQ(parts[3], "");
+}
+
+TEST_F(ServedPage, AThingIsItsFactsOutlinesAndAMaskOfThePhotographsSize) {
+  const Answer answer =
+      post("thing", R"({"client":"c","view":0,"also":[[0.5,1.25],[3,2]],"not":[[2.5,2.5]],"level":2})");
+  ASSERT_EQ(answer.status, 200) << answer.body;
+  ASSERT_EQ(source_.requests.size(), 1u);
+  const ThingRequest& asked = source_.requests[0].thing.value();
+  EXPECT_EQ(asked.also, (std::vector<PixelPoint>{{0.5, 1.25}, {3, 2}}));
+  EXPECT_EQ(asked.without, (std::vector<PixelPoint>{{2.5, 2.5}}));
+  const std::vector<std::string> parts = parts_of(answer);
+  ASSERT_EQ(parts.size(), 2u);
+  EXPECT_EQ(Json::parse(parts[0]), (Json{{"stale", false},
+                                         {"level", 2},
+                                         {"least", -2},
+                                         {"most", 3},
+                                         {"share", 0.5},
+                                         {"class_guess", 1},
+                                         {"width", 4},
+                                         {"height", 3},
+                                         {"outlines", {{{0.0, 0.0}, {2.0, 0.0}, {2.0, 3.0}, {0.0, 3.0}}}}}));
+  EXPECT_EQ(png(parts[1]).bytes, (std::vector<std::uint8_t>{255, 255, 0, 0, 255, 255, 0, 0, 255, 255, 0, 0}));
+  // The photograph of the other view is larger, and its outlines are in pixels of the view all the same.
+  const std::vector<std::string> large = parts_of(post("thing", R"({"client":"c","view":1,"also":[[1,1]]})"));
+  const Json facts = Json::parse(large.at(0));
+  EXPECT_EQ(facts["width"], 12);
+  EXPECT_EQ(facts["height"], 9);
+  EXPECT_EQ(facts["outlines"], (Json{{{0.0, 0.0}, {3.0, 0.0}, {3.0, 4.5}, {0.0, 4.5}}}));
+  EXPECT_EQ(png(large.at(1)).bytes.size(), 108u);
+}
+
+TEST_F(ServedPage, WrongRequestsForThingsAreRefused) {
+  const std::vector<std::pair<std::string, std::string>> rows{
+      {R"({"client":"c","view":0})", "key 'also' is missing"},
+      {R"({"client":"c","view":0,"also":[]})", "'also' names no place"},
+      {R"({"client":"c","view":0,"also":[[1,2,3]]})", "'also': expected at most 4096 points"},
+      {R"({"client":"c","view":0,"also":[[1,2e9]]})", "'also': expected at most 4096 points"},
+      {R"({"client":"c","view":0,"also":[[1,2]],"not":[1]})", "'not': expected at most 4096 points"},
+      {R"({"client":"c","view":0,"also":[[1,2]],"level":1.5})", "'level': expected"},
+      {R"({"client":"c","view":0,"also":[[1,2]],"labels":true})", "labels"},
+      {R"({"client":"c","view":2,"also":[[1,2]]})", "the scene has 2 views"}};
+  for (const auto& [json, words] : rows) {
+    const Answer answer = post("thing", json);
+    EXPECT_EQ(answer.status, 400) << json;
+    EXPECT_HAS(answer.body, words) << json;
+  }
+  EXPECT_TRUE(source_.requests.empty());
 }
 
 TEST_F(ServedPage, PhotographsMayBeKeptAndShrink) {

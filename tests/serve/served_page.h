@@ -179,6 +179,11 @@ class FakeSource final : public LabelSource {
     p.height_px = 3;
     p.overlay_revision = 9;
     p.seen = {{"m1", {{0.5, 1.5}, {2.5, 1.5}}}};
+    if (request.thing) {  // the left half
+      p.label = {0, 0, -1, -1, 0, 0, -1, -1, 0, 0, -1, -1};
+      p.thing = ThingFacts{request.thing->level, -2, 3, 0.5, 1};
+      return p;
+    }
     if (request.color) p.rgb.assign(36, 128);
     if (request.labels) p.label = {-1, 0, 1, 1, -1, 0, 1, 1, -1, 0, 1, 5};
     if (request.entropy) p.entropy = {0, 20, 40, 60, 80, 100, 120, 140, 160, 180, 200, 255};
