@@ -763,6 +763,27 @@ TEST(Proposals, WithOneClassTheOpenSurfaceIsAskedFor) {
   }
 }
 
+// Points of two looks, and a place of one of them is clicked: the others are asked for, until there are many clicks.
+TEST(Proposals, TheFirstQuestionsAreAboutWhatLooksUnlikeTheClicked) {
+  Known known;
+  std::vector<PoolPoint>& points = known.pool.points;
+  for (std::size_t i = 0; i < points.size(); ++i) points[i].color = i % 4 == 0 ? Vec3d{0.9, 0.2, 0.2} : Vec3d{};
+  for (PoolPoint& point : points) point.normal = {0, 0, 1};
+  known.click(0, 1);
+  const auto red = [&](std::size_t clicks) {
+    int found = 0;
+    for (std::uint64_t round = 0; round < 40; ++round) {
+      ProposalInput input = known.input(3, round);
+      input.clicks = clicks;
+      input.rules.reach = 1e-3F;  // a point by itself
+      found += choose_click(input)->point % 4 == 0;
+    }
+    return found;
+  };
+  EXPECT_EQ(red(1), 40);
+  EXPECT_LT(red(100), 30);
+}
+
 TEST(Proposals, WhatWasPassedOverIsNotAskedAgain) {
   Known known;
   known.click(0, 0);

@@ -721,6 +721,7 @@ std::optional<Asked> LabelLoop::propose(std::uint64_t seed, std::uint64_t round)
                        .graph = &graph_,
                        .probability = pool_probability_,
                        .classes = classes(),
+                       .clicks = clicks_.size(),
                        .passed = passed,
                        .barred = &barred,
                        .seed = seed,

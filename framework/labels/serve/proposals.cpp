@@ -1,7 +1,9 @@
 #include "labels/serve/proposals.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <iterator>
 
 #include "compute/parallel.h"
 #include "core/rng.h"
@@ -12,6 +14,8 @@ namespace semfield {
 namespace {
 
 constexpr const char* kRandom = "proposals/candidates";
+constexpr std::size_t kMostKnown = 512;  // places that a point's look is compared with
+
 // Classes that have a probability anywhere.
 std::ptrdiff_t named_classes(const ProposalInput& in) {
   std::vector<bool> named(static_cast<std::size_t>(in.classes), false);
@@ -39,15 +43,60 @@ bool is_barred(const ProposalInput& in, std::size_t point) {
   return in.barred != nullptr && !in.barred->empty() && (*in.barred)[point];
 }
 
+// Colour and normal of a point, in units of what makes a difference.
+using Look = std::array<float, 6>;
+
+Look look_of(const PoolPoint& point, const ProposalRules& rules) {
+  const auto [r, g, b] = std::array{point.color.x, point.color.y, point.color.z};
+  const double light = rules.lightness_sigma, chroma = rules.chroma_sigma, normal = rules.normal_sigma;
+  Look look{};
+  const double parts[6] = {(r + g + b) / 3 / light, (r - g) / chroma,        (b - (r + g) / 2) / chroma,
+                           point.normal.x / normal, point.normal.y / normal, point.normal.z / normal};
+  std::copy(std::begin(parts), std::end(parts), look.begin());
+  return look;
+}
+
+// Of each point, what its doubt counts: less where it looks like a clicked place, while there are few clicks. The first
+// questions would all be about walls else, whose pieces are large.
+std::vector<float> novelties(const ProposalInput& in) {
+  const std::vector<PoolPoint>& points = in.pool->points;
+  const double early = std::exp(-static_cast<double>(in.clicks) / in.rules.first_clicks);
+  std::vector<float> novelty(points.size(), 1);
+  if (early < 0.05) return novelty;
+  std::vector<Look> known;
+  for (std::size_t i = 0; i < points.size(); ++i)
+    if (in.graph->settled()[i].cost[0] == 0) known.push_back(look_of(points[i], in.rules));
+  for (const std::int32_t point : in.passed)
+    known.push_back(look_of(points[static_cast<std::size_t>(point)], in.rules));
+  const std::size_t every = 1 + known.size() / kMostKnown;  // given labels may be many
+  constexpr std::int64_t kBlock = 256;
+  parallel_for((std::ssize(points) + kBlock - 1) / kBlock, [&](std::int64_t block) {
+    for (std::int64_t i = block * kBlock; i < std::min(std::ssize(points), (block + 1) * kBlock); ++i) {
+      const Look own = look_of(points[static_cast<std::size_t>(i)], in.rules);
+      float least = INFINITY;
+      for (std::size_t k = 0; k < known.size(); k += every) {
+        float square = 0;
+        for (std::size_t c = 0; c < own.size(); ++c) square += (own[c] - known[k][c]) * (own[c] - known[k][c]);
+        least = std::min(least, square);
+      }
+      const double unlike = 1 - std::exp(-static_cast<double>(least) / 2);
+      novelty[static_cast<std::size_t>(i)] = static_cast<float>(1 - early * (1 - in.rules.alike) * (1 - unlike));
+    }
+  });
+  return novelty;
+}
+
 // How little is known of each point, 0 to 1: far from every click by way of the surface, or doubted by the network.
 std::vector<float> doubts(const ProposalInput& in) {
   const std::vector<double> entropy = entropies(in);
+  const std::vector<float> novelty = novelties(in);
   std::vector<float> doubt(entropy.size());
   for (std::size_t i = 0; i < doubt.size(); ++i) {
     const float way = std::min(1.0F, in.graph->settled()[i].cost[0] / in.rules.unseen);
     if (is_barred(in, i)) continue;
     doubt[i] = static_cast<float>((1 - in.rules.entropy_share) * static_cast<double>(way) +
-                                  in.rules.entropy_share * static_cast<double>(way) * entropy[i]);
+                                  in.rules.entropy_share * static_cast<double>(way) * entropy[i]) *
+               novelty[i];
   }
   std::vector<SurfaceGraph::Near> near;
   SurfaceGraph::Scratch scratch;

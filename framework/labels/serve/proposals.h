@@ -31,17 +31,22 @@ struct ProposalRules {
   float reach = 1.5;           ///< a click settles what it spreads to for this
   std::size_t most = 400;      ///< points that one click settles
   double area_power = 0.35;    ///< a region counts by this power of its area: small things have classes too
-  double entropy_share = 0.8;  ///< of a point's doubt that the network's entropy shows; the rest is the way to a click
+  double entropy_share = 0.2;  ///< of a point's doubt that the network's entropy shows; the rest is the way to a click
+  double first_clicks = 20;    ///< e-fold of the clicks during which what looks unlike all clicked places is preferred
+  double alike = 0.1;          ///< doubt of a point that looks just like a clicked place, while that counts
+  double lightness_sigma = 0.2, chroma_sigma = 0.1,
+         normal_sigma = 1;  ///< differences in colour (0 to 1) and of normals
   std::int64_t candidates = 256;
 };
 
-/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `passed`: points
-/// that somebody did not want to name; `barred`: points that nobody shall name.
+/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `clicks`: how many
+/// there are. `passed`: points that somebody did not want to name; `barred`: points that nobody shall name.
 struct ProposalInput {
   const SurfacePool* pool = nullptr;
   const SurfaceGraph* graph = nullptr;
   std::span<const float> probability;
   std::int32_t classes = 0;
+  std::size_t clicks = 0;
   std::span<const std::int32_t> passed;
   const std::vector<bool>* barred = nullptr;  ///< [N] points that are never proposed; null or empty: none
   std::uint64_t seed = 1, round = 0;
