@@ -14,6 +14,8 @@ function lines(context, ends) {
   }
 }
 
+const packed = ([r, g, b]) => (0xff000000 | b << 16 | g << 8 | r) >>> 0;  // as an opaque pixel of a picture lies in memory
+
 let hatch = null;
 
 /// Stripes for what is ignored, as wide at every zoom; `scale`: of the context.
@@ -73,6 +75,7 @@ export class ViewCanvas {
   constructor(canvas, camera) {
     Object.assign(this, {camera, context: canvas.getContext('2d')});
     this.layer = new OffscreenCanvas(1, 1);
+    this.borders = new Path2D();
     this.share = 1;  // of the image's size
     this.layerContext = this.layer.getContext('2d', {willReadFrequently: true});
   }
@@ -81,10 +84,11 @@ export class ViewCanvas {
   get image() { return this.camera.image; }
   get screen() { return this.camera.screen; }
 
-  /// Labels (or entropy) of the view at its own size, a very large one smaller; clicks that they do not know painted over.
-  paintLayer(overlay, paints) {
+  /// Labels (or entropy) at their own size, at least that of the view, a very large one smaller; clicks that they do not know painted over.
+  /// `shown`: the colours in place of those that the labels have, as pairs [given, shown].
+  paintLayer(overlay, paints, shown = []) {
     const {width, height} = this.image;
-    this.share = Math.min(1, Math.sqrt(kMostLayer_px / (width * height)));
+    this.share = Math.min(Math.max(1, (overlay?.width ?? 0) / width), Math.sqrt(kMostLayer_px / (width * height)));
     const size = {width: Math.ceil(width * this.share), height: Math.ceil(height * this.share)};
     if (this.layer.width !== size.width || this.layer.height !== size.height) Object.assign(this.layer, size);
     const context = this.layerContext;
@@ -93,6 +97,7 @@ export class ViewCanvas {
     context.clearRect(0, 0, size.width, size.height);
     context.scale(this.share, this.share);
     if (overlay) context.drawImage(overlay, 0, 0, width, height);
+    this.recolor(shown);
     for (const mark of paints) {
       context.globalCompositeOperation = mark.isIgnore ? 'destination-out' : 'source-over';
       paintClick(context, mark);
@@ -100,14 +105,70 @@ export class ViewCanvas {
     context.globalCompositeOperation = 'source-over';
   }
 
+  /// change(pixels as 0xAABBGGRR, width) of the layer; what it returns says whether it wrote any.
+  withPixels(change) {
+    const {width, height} = this.layer;
+    const image = this.layerContext.getImageData(0, 0, width, height);
+    if (change(new Uint32Array(image.data.buffer), width)) this.layerContext.putImageData(image, 0, 0);
+  }
+
+  recolor(shown) {
+    const table = new Map(shown.map((pair) => pair.map(packed)));
+    if (table.size === 0) return;
+    this.withPixels((pixels) => {
+      for (let i = 0; i < pixels.length; ++i) pixels[i] = table.get(pixels[i]) ?? pixels[i];
+      return true;
+    });
+  }
+
+  /// Where the layer's colours meet, as a path in its pixels: lines between classes; with `isEmpty` there are none.
+  traceBorders(isEmpty) {
+    this.borders = new Path2D();
+    this.lines = null;
+    if (isEmpty) return;
+    const path = this.borders;
+    this.withPixels((pixels, width) => {
+      const height = pixels.length / width;
+      const follow = (lanes, length, differs, add) => {  // runs of borders along a lane are one line
+        for (let lane = 1; lane < lanes; ++lane) {
+          for (let at = 0; at < length; ++at) {
+            const from = at;
+            while (at < length && differs(lane, at)) ++at;
+            if (at > from) add(lane, from, at);
+          }
+        }
+      };
+      follow(height, width, (y, x) => pixels[y * width + x] !== pixels[(y - 1) * width + x], (y, from, to) => { path.moveTo(from, y); path.lineTo(to, y); });
+      follow(width, height, (x, y) => pixels[y * width + x] !== pixels[y * width + x - 1], (x, from, to) => { path.moveTo(x, from); path.lineTo(x, to); });
+      return false;
+    });
+  }
+
+  /// The lines between classes over the screen: a light one, one or two device pixels thin, within a dark one. Kept while the view stands.
+  drawBorders() {
+    const {port, screen, share} = this;
+    const key = [port.x, port.y, port.scale, screen.width, screen.height, screen.ratio].join();
+    if (this.lines?.key !== key) {
+      const canvas = new OffscreenCanvas(Math.max(1, screen.width * screen.ratio), Math.max(1, screen.height * screen.ratio));
+      const context = canvas.getContext('2d');
+      const scale = port.scale * screen.ratio / share;
+      context.setTransform(scale, 0, 0, scale, port.x * screen.ratio, port.y * screen.ratio);
+      for (const [wide, style] of [[2.6, 'rgb(0 0 0 / 0.7)'], [1, 'rgb(255 255 255 / 0.9)']]) {
+        Object.assign(context, {lineWidth: wide / scale, strokeStyle: style, lineCap: 'square'});
+        context.stroke(this.borders);
+      }
+      this.lines = {key, canvas};
+    }
+    this.context.drawImage(this.lines.canvas, 0, 0, screen.width, screen.height);
+  }
+
   /// Leaves `alpha` of 255 to every pixel that is not of the colour.
   dimOthers(color, alpha) {
-    const image = this.layerContext.getImageData(0, 0, this.layer.width, this.layer.height);
-    const {data} = image;
-    for (let i = 0; i < data.length; i += 4) {
-      if (data[i + 3] && (data[i] !== color[0] || data[i + 1] !== color[1] || data[i + 2] !== color[2])) data[i + 3] = alpha;
-    }
-    this.layerContext.putImageData(image, 0, 0);
+    const own = packed(color);
+    this.withPixels((pixels) => {
+      for (let i = 0; i < pixels.length; ++i) if (pixels[i] >>> 24 && pixels[i] !== own) pixels[i] = (pixels[i] & 0xffffff | alpha << 24) >>> 0;
+      return true;
+    });
   }
 
   /// [r, g, b] of the layer at a pixel, or null where nothing is.
@@ -146,6 +207,7 @@ export class ViewCanvas {
     context.imageSmoothingEnabled = true;  // edges of labels without steps where a pixel that trains is large
     context.globalAlpha = what.opacity;
     if (what.opacity > 0) context.drawImage(this.layer, ...place);
+    if (what.opacity > 0) this.drawBorders();
     context.globalAlpha = 1;
     if (what.thing) this.drawThing(what.thing);
     if (what.stroke) this.drawStroke(what.stroke);

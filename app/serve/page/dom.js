@@ -57,35 +57,44 @@ export const cssColor = ([r, g, b]) => `rgb(${r} ${g} ${b})`;
 export const hexColor = (rgb) => '#' + rgb.map((v) => v.toString(16).padStart(2, '0')).join('');
 export const rgbOfHex = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
 
-/// Colours that a new class may take, far apart from each other.
+/// Colours that a new class may take, seen on a white wall (told() 0.19 from it or more). Found one by one in a grid of colours with a hue, each as the
+/// farthest from those before it for the worst of three eyes, with all cones, without red and without green ones: the nearest two are 0.085 apart.
 export const kPalette = [
-  [230, 75, 70], [70, 150, 240], [75, 190, 95], [245, 190, 50], [165, 100, 225], [250, 135, 60],
-  [55, 200, 200], [240, 120, 185], [150, 105, 65], [165, 205, 60], [100, 110, 200], [215, 60, 175],
-  [130, 30, 60], [20, 110, 110], [240, 205, 165], [95, 115, 50],
+  [0, 120, 210], [255, 180, 0], [225, 105, 0], [120, 0, 15], [120, 180, 255], [75, 30, 135], [165, 75, 105], [0, 180, 150],
+  [0, 0, 225], [195, 60, 0], [0, 150, 180], [30, 150, 255], [120, 45, 90], [90, 75, 150], [150, 45, 45], [255, 120, 105],
 ];
 
-function oklab(rgb) {
-  const [r, g, b] = rgb.map((v) => (v / 255 <= 0.04045 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
-  const l = Math.cbrt(0.4122214708 * r + 0.5363325363 * g + 0.0514459929 * b);
-  const m = Math.cbrt(0.2119034982 * r + 0.6806995451 * g + 0.1073969566 * b);
-  const s = Math.cbrt(0.0883024619 * r + 0.2817188376 * g + 0.6299787005 * b);
-  return [0.2104542553 * l + 0.793617785 * m - 0.0040720468 * s, 1.9779984951 * l - 2.428592205 * m + 0.4505937099 * s,
-          0.0259040371 * l + 0.7827717662 * m - 0.808675766 * s];
+const linear = (rgb) => rgb.map((v) => (v / 255 <= 0.04045 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
+const times = (rows, v) => rows.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
+
+function oklab(light) {
+  const lms = times([[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566], [0.0883024619, 0.2817188376, 0.6299787005]], light);
+  return times([[0.2104542553, 0.793617785, -0.0040720468], [1.9779984951, -2.428592205, 0.4505937099], [0.0259040371, 0.7827717662, -0.808675766]], lms.map(Math.cbrt));
 }
 
-/// Hues are told apart better than shades over a photograph, so lightness counts half.
-const hue = (rgb) => oklab(rgb).map((v, i) => (i ? v : v / 2));
+// What eyes without red and without green cones see of linear light [Machado09, severity 1].
+const kEyes = [
+  [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+  [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+  [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+];
+const seenBy = (rgb) => kEyes.map((eye) => oklab(times(eye, linear(rgb)).map((v) => Math.min(1, Math.max(0, v)))));
+
+/// How well every eye tells two colours apart.
+export function told(one, other) {
+  const [a, b] = [seenBy(one), seenBy(other)];
+  return Math.min(...a.map((lab, eye) => Math.hypot(...lab.map((v, i) => v - b[eye][i]))));
+}
 
 const mixed = (rgb, other, share) => rgb.map((v, i) => Math.round(v + (other[i] - v) * share));
 // Where the palette is used up: its colours darker and lighter.
-const kShades = [...kPalette.map((rgb) => mixed(rgb, [0, 0, 0], 0.45)), ...kPalette.map((rgb) => mixed(rgb, [255, 255, 255], 0.5))];
-const kApart = 0.03;
+const kShades = [...kPalette.map((rgb) => mixed(rgb, [0, 0, 0], 0.4)), ...kPalette.map((rgb) => mixed(rgb, [255, 255, 255], 0.35))];
+const kApart = 0.06;
 
 /// The colour of the palette that is farthest from all that are used, or a shade of one where all are taken.
 export function freeColor(used) {
-  const labs = used.map(hue);
   const farthest = (colors) => {
-    const found = colors.map((rgb) => Math.min(1, ...labs.map((other) => Math.hypot(...hue(rgb).map((v, i) => v - other[i])))));
+    const found = colors.map((rgb) => Math.min(1, ...used.map((other) => told(rgb, other))));
     const most = Math.max(...found);
     return [most, colors[found.indexOf(most)]];
   };
@@ -93,8 +102,18 @@ export function freeColor(used) {
   return most > kApart ? best : farthest(kShades)[1];
 }
 
+const kWall = [235, 235, 230];
+
+/// The colour, or where it is too pale for a white wall, as tables have it for walls, a deeper one of its hue.
+export function seenOnWhite(rgb) {
+  if (told(rgb, kWall) > 0.19) return rgb;
+  const most = Math.max(...rgb);
+  const deeper = rgb.map((v) => Math.round(0.85 * Math.max(0, most - 2.5 * (most - v))));
+  return told(deeper, kWall) > 0.19 ? deeper : mixed(deeper, [0, 0, 0], 0.3);
+}
+
 /// Black or white, whichever is easier to read on the colour.
-export const inkOn = (rgb) => (oklab(rgb)[0] > 0.62 ? '#111' : '#fff');
+export const inkOn = (rgb) => (oklab(linear(rgb))[0] > 0.62 ? '#111' : '#fff');
 
 const kStops = [
   [41, 5, 60], [45, 28, 83], [45, 49, 104], [41, 71, 122], [33, 94, 137], [19, 117, 149], [7, 139, 156],

@@ -131,8 +131,11 @@ export class Stage {
     const whole = `${key} ${this.pointed} ${this.view.image.width} ${this.view.image.height}`;
     if (this.painted === whole) return;
     this.painted = whole;
-    this.view.paintLayer(overlay, paints);
-    const color = this.kind === 'labels' ? this.labeller.classOf(this.pointed)?.color : undefined;
+    const {classes} = this.labeller;
+    const isLabels = this.kind === 'labels';
+    this.view.paintLayer(overlay, paints, isLabels ? classes.filter(({given, color}) => given && given !== color).map(({given, color}) => [given, color]) : []);
+    this.view.traceBorders(!isLabels);
+    const color = isLabels ? this.labeller.classOf(this.pointed)?.color : undefined;
     if (color) this.view.dimOthers(color, kDimmed);
   }
 
