@@ -30,7 +30,7 @@ import semfield as sf
 from common import settings, table
 from semfield.program import program
 
-MARKS = (10, 30, 60, 100, 180, 300)  # clicks after which the held-out views are scored
+MARKS = (10, 20, 30, 60, 100, 180, 300)  # clicks after which the held-out views are scored
 
 
 class Page:
@@ -62,10 +62,17 @@ class Page:
         return data
 
     def state(self, after=0):
-        state = json.loads(self.request(f"/state?after={after}"))
-        if state["failure"]:
-            sys.exit(f"labelling: training failed: {state['failure']}")
-        return state
+        """All of it; with `after` once there is news, which is what the answer has."""
+        news = json.loads(self.request(f"/state?after={after}"))
+        if after:
+            for view in news.pop("views", []):
+                self.known["views"][view["index"]].update(view)
+            self.known["marks"][news.pop("marks_kept", len(self.known["marks"])):] = news.pop("marks", [])
+            news = {**self.known, **news}
+        self.known = news
+        if self.known["failure"]:
+            sys.exit(f"labelling: training failed: {self.known['failure']}")
+        return self.known
 
     def labels(self, view, client, full=False):
         """[H, W] index of the class, -1 for none."""

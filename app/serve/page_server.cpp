@@ -40,6 +40,9 @@ constexpr auto kStateLook = std::chrono::milliseconds(100);  // at exports, and 
 constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
 constexpr const char* kForEver = "private, max-age=31536000, immutable";
 
+// Shares change a little all the time; what nobody sees of that is no news.
+double rounded(double share) { return std::round(1e3 * share) / 1e3; }
+
 Json run_json(const LabelState& s, const std::string& id) {
   return {{"id", id},
           {"name", s.name},
@@ -52,6 +55,7 @@ Json run_json(const LabelState& s, const std::string& id) {
           {"rays_per_s", s.rays_per_s},
           {"phase", s.phase},
           {"geometry_ready", s.geometry_ready},
+          {"unreached", rounded(s.unreached)},
           {"temperature", s.temperature}};
 }
 
@@ -62,13 +66,14 @@ Json class_json(const ClassState& c) {
           {"own", c.own},
           {"color", c.color},
           {"clicks", c.clicks},
-          {"area_share", c.area_share},
-          {"confidence", c.confidence}};
+          {"area_share", rounded(c.area_share)},
+          {"confidence", rounded(c.confidence)}};
 }
 
 Json view_json(const ViewState& v) {
-  return {{"frame", v.frame},     {"width", v.width_px}, {"height", v.height_px}, {"clicks", v.clicks},
-          {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo},      {"held_out", v.held_out}};
+  return {{"frame", v.frame},   {"width", v.width_px},           {"height", v.height_px},
+          {"clicks", v.clicks}, {"entropy", rounded(v.entropy)}, {"ready", v.ready},
+          {"photo", v.photo},   {"held_out", v.held_out}};
 }
 
 template <class Items, class ToJson>
@@ -94,12 +99,10 @@ Json proposal_json(const std::optional<ProposalState>& p) {
       {"id", p->id}, {"view", p->view}, {"at", {p->at.x, p->at.y}}, {"why", p->why}, {"class_guess", p->class_guess}};
 }
 
-// `known`: the session's revision that the client has seen, 0 for none: marks that are no newer are null.
-// `first`: PageOptions::first_revision; `now`: what the client gives back as `after`.
+// All of it but the revision. `first`: PageOptions::first_revision.
 Json state_json(const LabelState& s, const LabelSource& source, const std::vector<ExportState>& exports,
-                const std::string& run_id, std::uint64_t known, std::uint64_t first, std::uint64_t now) {
+                const std::string& run_id, std::uint64_t first) {
   Json out;
-  out["revision"] = now;
   out["overlay"] = {{"revision", first + s.overlay_revision}, {"events", s.overlay_events}};
   out["events"] = s.events;
   out["run"] = run_json(s, run_id);
@@ -107,9 +110,7 @@ Json state_json(const LabelState& s, const LabelSource& source, const std::vecto
   out["classes"] = list(s.classes, class_json);
   out["views"] = list(s.views, view_json);
   out["proposal"] = proposal_json(s.proposal);
-  out["marks"] = nullptr;
-  if (known == 0 || s.marks_revision > known)
-    out["marks"] = list(s.marks, [&](const Annotations::Mark& mark) { return mark_json(mark, source); });
+  out["marks"] = list(s.marks, [&](const Annotations::Mark& mark) { return mark_json(mark, source); });
   out["exports"] = list(exports, [](const ExportState& e) {
     return Json{{"id", e.id}, {"what", e.what}, {"state", e.state}, {"text", e.text}, {"files", e.files}};
   });
@@ -120,6 +121,55 @@ Json state_json(const LabelState& s, const LabelSource& source, const std::vecto
 }
 
 }  // namespace
+
+void StateNews::take(Json all, std::uint64_t revision) {
+  if (revision <= revision_) return;
+  const auto stamp = [&](Stamps& stamps, const Json& before, const Json& now) {
+    for (const auto& [key, value] : now.items())
+      if (const auto old = before.find(key); old == before.end() || *old != value) stamps[key] = revision;
+  };
+  stamp(sections_, all_, all);
+  const Json views = all_.value("views", Json::array()), marks = all_.value("marks", Json::array());
+  const Json &new_views = all["views"], &new_marks = all["marks"];
+  views_.resize(new_views.size());
+  for (std::size_t v = 0; v < views_.size(); ++v)
+    stamp(views_[v], v < views.size() ? views[v] : Json::object(), new_views[v]);
+  const auto differ = std::mismatch(marks.begin(), marks.end(), new_marks.begin(), new_marks.end());
+  if (const auto kept = static_cast<std::size_t>(differ.first - marks.begin()); sections_["marks"] == revision) {
+    marks_.resize(kept);
+    marks_.resize(new_marks.size() + 1, revision);
+  }
+  all_ = std::move(all);
+  revision_ = revision;
+}
+
+Json StateNews::since(std::uint64_t after) const {
+  Json out = Json::object();
+  const auto add = [&](Json& to, const Stamps& stamps, const Json& from) {
+    for (const auto& [key, at] : stamps)
+      if (at > after) to[key] = from[key];
+  };
+  add(out, sections_, all_);
+  if (out.contains("views")) {
+    out["views"] = Json::array();
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      Json view = Json::object();
+      add(view, views_[v], all_["views"][v]);
+      if (view.empty()) continue;
+      view["index"] = v;
+      out["views"].push_back(std::move(view));
+    }
+  }
+  if (out.contains("marks")) {
+    const auto kept = std::find_if(marks_.begin(), marks_.end(), [&](std::uint64_t at) { return at > after; });
+    const auto count = kept - marks_.begin();
+    const Json& marks = all_["marks"];
+    out["marks"] = Json::array();
+    out["marks"].insert(out["marks"].end(), marks.begin() + count, marks.end());
+    out["marks_kept"] = count;
+  }
+  return out;
+}
 
 PageServer::PageServer(LabelSource& source, PageOptions options)
     : source_(source),
@@ -142,6 +192,17 @@ PageHost::Places PageServer::places() {
 }
 
 // Exports change beside the session, so the page follows the sum of both counts.
+Json PageServer::news_since(std::uint64_t after) {
+  const std::lock_guard lock(told_mutex_);
+  const std::uint64_t exported = exports_.changes();
+  const auto state = source_.state();
+  const std::uint64_t first = options_.first_revision;
+  told_.take(state_json(*state, source_, exports_.list(), options_.run_id, first), state->revision + exported);
+  Json out = told_.since(after);
+  out["revision"] = first + told_.revision();
+  return out;
+}
+
 HttpResponse PageServer::get_state(const HttpRequest& request) {
   std::uint64_t after = query_number(request.query, "after", 0, kMostNumber);
   const std::uint64_t first = options_.first_revision;
@@ -153,9 +214,8 @@ HttpResponse PageServer::get_state(const HttpRequest& request) {
     const std::uint64_t known = after > exported ? after - exported : 0;
     const bool last = left.count() == 0;
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));
-    const std::uint64_t now = state->revision + exported;
-    if (!last && now <= after) return false;
-    response = json_answer(state_json(*state, source_, exports_.list(), options_.run_id, known, first, first + now));
+    if (!last && state->revision + exported <= after) return false;
+    response = json_answer(news_since(after));
     return true;
   });
   return response;

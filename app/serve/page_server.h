@@ -7,6 +7,7 @@
 #include <functional>
 #include <initializer_list>
 #include <map>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -134,6 +135,25 @@ struct PageOptions : HostOptions {
   int longest_poll_ms = 20000;       ///< how long a request for news waits
 };
 
+/// What of the page's state a client has not got yet.
+class StateNews {
+ public:
+  /// All of the state; nothing happens where `revision` is not above the last one.
+  void take(Json all, std::uint64_t revision);
+  /// The sections that changed after the revision; of views those that did, with their `index` and the keys that
+  /// changed; marks from `marks_kept` on, where those before are as they were.
+  Json since(std::uint64_t after) const;
+  std::uint64_t revision() const { return revision_; }
+
+ private:
+  using Stamps = std::map<std::string, std::uint64_t>;  // revision of the last change, by key
+  Json all_ = Json::object();
+  Stamps sections_;
+  std::vector<Stamps> views_;
+  std::vector<std::uint64_t> marks_;  // likewise of each, and one more of the list's end
+  std::uint64_t revision_ = 0;
+};
+
 class PageServer : NonCopyable {
  public:
   /// Serves when it returns; the source must outlive it. Throws as listen_on does.
@@ -149,6 +169,7 @@ class PageServer : NonCopyable {
 
  private:
   HttpResponse get_state(const HttpRequest& request);
+  Json news_since(std::uint64_t after);
   HttpResponse get_photo(const HttpRequest& request) const;
   HttpResponse post_event(const HttpRequest& request);
   HttpResponse post_picture(const HttpRequest& request);
@@ -160,6 +181,8 @@ class PageServer : NonCopyable {
   LabelSource& source_;
   PageOptions options_;
   PageExports exports_;
+  std::mutex told_mutex_;
+  StateNews told_;
   News news_;
   PageHost host_;  // last: it answers by all of these
 };

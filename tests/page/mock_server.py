@@ -84,6 +84,7 @@ class Room:
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
         self.polls, self.things = 0, []
+        self.told, self.unreached = {}, 0  # told: states by revision
 
     def touch(self):
         with self.changed:
@@ -204,7 +205,7 @@ class Room:
         return {
             "revision": self.revision, "overlay": {"revision": self.overlay[0], "events": self.overlay[1]}, "events": len(self.events),
             "run": {"id": self.run_id, "name": "mock_room", "folder": "runs/mock_room", "device": "CPU, 2 threads", "step": int(seconds * 9), "train_s": seconds, "loss": 0.1,
-                    "psnr": 14 + 12 * (1 - math.exp(-seconds / 15)), "rays_per_s": 21500, "phase": "learning colour and geometry", "geometry_ready": True, "temperature": 1.2},
+                    "psnr": 14 + 12 * (1 - math.exp(-seconds / 15)), "rays_per_s": 21500, "phase": "learning colour and geometry", "geometry_ready": True, "unreached": self.unreached, "temperature": 1.2},
             "room": {"named": len(classes), "most": self.most},
             "classes": [{"index": i, **row, "clicks": sum(m["class"] == i for m in marks), "area_share": share * list(known.values()).count(i),
                          "confidence": 0.9 if i in known.values() else 0} for i, row in enumerate(classes) if not row["ended"]],
@@ -212,6 +213,22 @@ class Room:
                        "entropy": max(0.05, 0.9 - 0.1 * len(known) - 0.02 * (k % 4)), "ready": bool(known), "photo": f"{k}-{self.turned}",
                        "held_out": k >= len(self.frames) - self.held_out} for k, f in enumerate(self.frames)],
             "proposal": self.proposal(known, skipped), "marks": marks, "exports": self.exports, "notes": [], "trouble": self.trouble, "failure": self.failure}
+
+    def news(self, after):
+        """What of the state a client has not got that was told `after`, as the program says it."""
+        state = json.loads(json.dumps(self.state(after)))
+        before = self.told.get(after, {})
+        self.told.setdefault(state["revision"], state)
+        news = {key: value for key, value in state.items() if before.get(key) != value}
+        news["revision"] = state["revision"]
+        if "views" in news:
+            changes = [{k: v for k, v in view.items() if not before or before["views"][i].get(k) != v} for i, view in enumerate(state["views"])]
+            news["views"] = [{"index": i, **change} for i, change in enumerate(changes) if change]
+        if "marks" in news:
+            had = before.get("marks", [])
+            kept = next((i for i, (a, b) in enumerate(zip(had, state["marks"])) if a != b), min(len(had), len(state["marks"])))
+            news.update(marks=state["marks"][kept:], marks_kept=kept)
+        return news
 
     def picture(self, wish):
         marks = [m for m in self.marks(*(lambda a: (a, self.classes(a)[1]))(self.alive(self.events[:self.overlay[1]])))]
@@ -316,8 +333,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
                 if self.server.ended:
                     self.close_connection = True
                     return
-                state = room.state(int(query["after"]))
-            self.answer(state)
+                news = room.news(int(query["after"]))
+            self.answer(news)
         elif path == "photo":
             view, most = int(query["view"]), int(query.get("most_px", 0))
             room.photos.append((view, most))
@@ -384,6 +401,7 @@ class Server:
         self.room, self.port, self.token = room, port, token
 
     def start(self):
+        self.room.told = {}  # another process knows nothing of those
         self.http = Quiet(("127.0.0.1", self.port), Handler)
         self.http.room, self.http.folder, self.http.ended = self.room, f"/{self.token}/", False
         self.port = self.http.server_address[1]

@@ -9,7 +9,7 @@ import page_case
 
 
 SIZE = (120, 90)
-RED, BLUE = [230, 75, 70], [70, 150, 240]  # the first colours that the page offers
+FIRST, SECOND = [0, 120, 210], [255, 180, 0]  # the first colours that the page offers
 
 
 class MockPageCase(page_case.PageCase):
@@ -72,22 +72,22 @@ class PageTest(MockPageCase):
         self.assertEqual((event["class"], event["frame"], event["size"]), ("sofa", "rgb_00", list(SIZE)))
         self.assertLess(max(abs(a - b) for a, b in zip(event["points"][0], sofa)), 0.3)
         beside = (sofa[0] + 2, sofa[1])  # inside the brush, beside the mark
-        self.wait_pixel(page, *beside, self.mixed(0, *beside, RED), "a click is not painted at once")
+        self.wait_pixel(page, *beside, self.mixed(0, *beside, FIRST), "a click is not painted at once")
 
         self.room.faults.clear()
         self.room.learn()
         far = (sofa[0] + 5, sofa[1])
-        self.wait_pixel(page, *far, self.mixed(0, *far, RED), "the overlay that was learned is not shown")
+        self.wait_pixel(page, *far, self.mixed(0, *far, FIRST), "the overlay that was learned is not shown")
         page.keys("right")
         page.wait("document.querySelector('#strip [aria-current=true]').dataset.view == 1")
         there = self.pixel_of(1, 4)
-        self.wait_pixel(page, *there, self.mixed(1, *there, RED), "another view has no labels")
+        self.wait_pixel(page, *there, self.mixed(1, *there, FIRST), "another view has no labels")
         page.keys("left")
 
         self.make_class(page, "floor")  # the floor was taken for the sofa: click again with the right class
         self.click(page, *floor, saved=2)
         other = (floor[0] + 9, floor[1])
-        self.wait_pixel(page, *other, self.mixed(0, *other, BLUE), "a correction is not shown")
+        self.wait_pixel(page, *other, self.mixed(0, *other, SECOND), "a correction is not shown")
         page.keys("1")
         page.mouse(self.page_of(page, *sofa), self.page_of(page, sofa[0] - 4, sofa[1] + 2), self.page_of(page, sofa[0] - 8, sofa[1]))
         self.wait_saved(page, 3)
@@ -151,7 +151,7 @@ class PageTest(MockPageCase):
         self.wait_saved(page, 1)
         event = self.room.events[-1]
         self.assertEqual([event["class"], event["points"]], ["lamp", [[SIZE[0] / 2 + 8.5, SIZE[1] / 2 + 2.5]]])
-        self.assertEqual(self.room.events[0]["color"], BLUE)
+        self.assertEqual(self.room.events[0]["color"], SECOND)
         page.keys("z")
         page.wait("document.querySelectorAll('#classes [aria-checked=true] .clicks')[0].textContent == ''")
         page.keys("shift+z")
@@ -329,7 +329,7 @@ class PageTest(MockPageCase):
         self.room.faults.add("overlay")
         self.click(one, 30.5, 40.5)
         two.wait("document.querySelector('#classes .clicks')?.textContent == '1'", "the other browser sees no click")
-        self.wait_pixel(two, 32.5, 40.5, self.mixed(0, 32.5, 40.5, RED), "the other browser shows no click")
+        self.wait_pixel(two, 32.5, 40.5, self.mixed(0, 32.5, 40.5, FIRST), "the other browser shows no click")
         two.keys("z")
         two.wait("document.querySelector('#messages').textContent.includes('nothing to undo')", "a browser undoes another's click")
         self.click(two, 60.5, 70.5)
@@ -827,6 +827,33 @@ class HasteTest(MockPageCase):
         page.keys("b")
         self.assertEqual(self.labels(), [])
         self.click(page, 30, 40, saved=1)
+
+    def test_labels_that_everybody_sees(self):
+        """Pale colours of a table are deepened, lines part the classes, and certainty waits for the classes that are seen."""
+        self.serve(classes=("wall", "floor", "sofa"))
+        self.room.given[0]["color"], self.room.unreached = [225, 235, 240], 0.4
+        page = self.open()
+        sofa, floor = self.pixel_of(0, 4), self.pixel_of(0, 0)
+        page.keys("1")
+        self.click(page, *sofa, saved=1)
+        page.keys("2")
+        self.click(page, *floor, saved=2)
+        page.wait("document.querySelector('#classes .area').textContent == '50 %'", "no area")
+        self.assertEqual([page.text("#classes .sure"), "40 % of the surface" in page.run("return document.querySelector('#classes .sure').title")], ["\u2013", True])
+        deep = page.run("return import('./dom.js').then(({seenOnWhite}) => seenOnWhite([225, 235, 240]))")
+        self.assertLess(sum(deep), 560)
+        far = (sofa[0] + 5, sofa[1])
+        self.wait_pixel(page, *far, self.mixed(0, *far, deep), "the pale colour is shown as it is")
+        rows = self.room.view(0)[1]
+        # A border between what is named: six pixels of one thing, then six of the other.
+        x, y = next((x, y) for y in range(10, 80) for x in range(10, 110) if {bytes(rows[y][x - 6:x]), bytes(rows[y][x:x + 6])} == {b"\0" * 6, b"\4" * 6})
+        at = self.page_of(page, x, y + 0.5)
+        across = page.pixels([(at[0] + k / 2, at[1]) for k in range(-6, 7)])
+        light = [sum(pixel) for pixel in across]
+        self.assertTrue(max(light) > light[0] + 60 and max(light) > light[-1] + 60 and min(light) < min(light[0], light[-1]) - 60, f"no line: {across}")
+        self.room.unreached = 0.01
+        self.room.touch()
+        page.wait("document.querySelector('#classes .sure').textContent == '90 %'", "no certainty")
 
     def test_a_click_without_a_class(self):
         page = self.served()

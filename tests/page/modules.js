@@ -57,11 +57,22 @@ return Promise.all(['model', 'camera', 'dom', 'api', 'pictures', 'thing'].map((n
   is(model.nameProblem('', []) !== '' && model.nameProblem('a', ['a']) !== '' && model.nameProblem('b', ['a']) === '', true, 'names');
   is(colors.kPalette.includes(colors.freeColor(colors.kPalette.slice(1))), true, 'a free colour');
   is(colors.freeColor(colors.kPalette.slice(1)), colors.kPalette[0], 'the one that is left');
+  const pairs = colors.kPalette.flatMap((one, i) => colors.kPalette.slice(i + 1).map((other) => colors.told(one, other)));
+  is([Math.min(...pairs) > 0.08, colors.told([255, 0, 0], [120, 110, 0]) < 0.2, colors.told([0, 0, 0], [255, 255, 255]) > 0.9], [true, true, true], 'every eye tells the colours apart');
+  const table = [[174, 199, 232], [255, 255, 153], [220, 220, 220], [240, 220, 170]];
+  is(table.map((rgb) => colors.told(colors.seenOnWhite(rgb), [235, 235, 230]) > 0.15), [true, true, true, true], 'pale colours on a white wall');
+  is(colors.told(colors.freeColor([[2, 118, 205], [255, 185, 5]]), [0, 120, 210]) > 0.15, true, 'a new class beside colours of a table');
   const used = [];
   for (let i = 0; i < 40; ++i) used.push(colors.freeColor(used));
   is(new Set(used.map(String)).size, 40, 'forty classes have forty colours');
   const sizes = new Uint8Array([2, 0, 0, 0, 123, 125, 1, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0, 0]);
   is(api.answerParts(sizes.buffer).map((part) => [...part]), [[123, 125], [9], [], []], 'parts of a picture');
+  const [first, gone] = [{revision: 1, run: {step: 1}, views: [{index: 0, frame: 'f', clicks: 0}], marks: [{id: 'x'}, {id: 'y'}], marks_kept: 0},
+    {revision: 2, views: [{index: 0, clicks: 2}], marks: [{id: 'z'}], marks_kept: 1}];
+  const {marks_kept: _, ...all} = first;
+  is(model.merged(null, first), all, 'the first answer is all');
+  is(model.merged(all, gone), {revision: 2, run: {step: 1}, views: [{index: 0, frame: 'f', clicks: 2}], marks: [{id: 'x'}, {id: 'z'}]}, 'news of a state');
+  is(model.merged(all, {revision: 3}).marks.length, 2, 'no news of clicks');
   const births = new model.MarkBirths();
   births.see({overlay: {events: 1}, events: 2, marks: [{id: 'x'}]}, true);
   births.see({overlay: {events: 1}, events: 3, marks: [{id: 'x'}, {id: 'y'}]}, false);

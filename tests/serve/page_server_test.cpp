@@ -68,7 +68,8 @@ TEST_F(ServedPage, StateHasTheKeysOfTheContract) {
   EXPECT_EQ(s["room"], (Json{{"named", 2}, {"most", 8}}));
   EXPECT_EQ(s["classes"][1]["name"], "chair");
   EXPECT_EQ(s["classes"][1]["color"], (Json{200, 30, 30}));
-  EXPECT_EQ(s["views"][1], (Json{{"frame", "b"},
+  EXPECT_EQ(s["views"][1], (Json{{"index", 1},
+                                 {"frame", "b"},
                                  {"width", 6},
                                  {"height", 4},
                                  {"clicks", 1},
@@ -83,10 +84,37 @@ TEST_F(ServedPage, StateHasTheKeysOfTheContract) {
   EXPECT_EQ(s["failure"], "");
 }
 
-TEST_F(ServedPage, MarksAreSentWhenTheyAreNewAlone) {
-  const Json s = Json::parse(get("state?after=3").body);
-  EXPECT_TRUE(s["marks"].is_array());  // changed in revision 4
-  EXPECT_TRUE(Json::parse(get("state?after=4").body)["marks"].is_null());
+// Whoever asks with the revision of an earlier answer gets what has changed since, and the same with any other's
+// answers.
+TEST_F(ServedPage, AnAnswerHasWhatChangedSinceTheOneBefore) {
+  const Json whole = Json::parse(get("state?after=0").body);
+  EXPECT_EQ(whole["marks_kept"], 0);
+  source_.change([](LabelState& s) { s.views[1].entropy = 0.3; });
+  EXPECT_EQ(Json::parse(get("state?after=5").body),
+            (Json{{"revision", 6}, {"views", {{{"index", 1}, {"entropy", 0.3}}}}}));
+  source_.change([](LabelState& s) {
+    s.views[1].entropy = 0.30004;  // nobody sees that
+    s.marks.push_back({"m2", 7, {{0.5, 0.5}}, 2, 1});
+  });
+  const Json third = Json::parse(get("state?after=6").body);
+  EXPECT_EQ(third.size(), 3u) << third;
+  EXPECT_EQ(third["marks_kept"], 1);
+  EXPECT_EQ(third["marks"].size(), 1u);
+  EXPECT_EQ(third["marks"][0]["id"], "m2");
+  source_.change([](LabelState& s) { s.marks.pop_back(); });
+  EXPECT_EQ(Json::parse(get("state?after=7").body),
+            (Json{{"revision", 8}, {"marks", Json::array()}, {"marks_kept", 1}}));
+  source_.change([](LabelState& s) {
+    s.marks = {{"m3", 7, {{0.5, 0.5}}, 2, 1}};
+    s.classes[0].name = "floor";
+  });
+  const Json last = Json::parse(get("state?after=5").body);
+  EXPECT_EQ(last["marks_kept"], 0);
+  EXPECT_EQ(last["marks"][0]["id"], "m3");
+  EXPECT_EQ(last["classes"].size(), 2u);
+  EXPECT_EQ(last["views"], (Json{{{"index", 1}, {"entropy", 0.3}}}));
+  EXPECT_FALSE(last.contains("run"));
+  EXPECT_EQ(Json::parse(get("state?after=0").body)["views"][0], whole["views"][0]);
 }
 
 TEST_F(ServedPage, NewsAreWaitedForAndComeAtOnce) {
@@ -102,7 +130,7 @@ TEST_F(ServedPage, NewsAreWaitedForAndComeAtOnce) {
   start();
   // Without news the old state comes when the wait is over; a number from an earlier server does not wait.
   EXPECT_EQ(Json::parse(get("state?after=6").body)["revision"], 6);
-  EXPECT_TRUE(Json::parse(get("state?after=1000").body)["marks"].is_array());
+  EXPECT_EQ(Json::parse(get("state?after=1000").body)["marks_kept"], 0);
 }
 
 TEST_F(ServedPage, NobodyWaitsForNewsOnceTheSessionEnds) {
@@ -119,8 +147,11 @@ TEST_F(ServedPage, APageOfAnEarlierServerGetsEverythingAnew) {
   start(o);
   const Json s = Json::parse(get("state?after=900").body);
   EXPECT_EQ(s["revision"], 1005);
-  EXPECT_TRUE(s["marks"].is_array());
-  EXPECT_TRUE(Json::parse(get("state?after=1004").body)["marks"].is_null());
+  EXPECT_EQ(s["marks"].size(), 1u);
+  source_.change([](LabelState& now) { now.phase = "changed"; });
+  const Json news = Json::parse(get("state?after=1005").body);
+  EXPECT_TRUE(news.contains("run"));
+  EXPECT_FALSE(news.contains("marks"));
 }
 
 TEST_F(ServedPage, AnEventIsAppliedOnceAndItsTimeIsTheServers) {

@@ -65,7 +65,8 @@ class Served:
     def state_when(self, condition, seconds=240):
         state, end = self.state(), time.monotonic() + seconds
         while not condition(state) and time.monotonic() < end:
-            state = self.state(state["revision"])
+            self.state(state["revision"])  # waits for news
+            state = self.state()
         return state
 
     def click(self, id):

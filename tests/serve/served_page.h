@@ -129,7 +129,6 @@ class FakeSource final : public LabelSource {
  public:
   FakeSource() {
     LabelState s{.revision = 5,
-                 .marks_revision = 4,
                  .name = "room",
                  .run_dir = "/runs/room",
                  .phase = "learning",

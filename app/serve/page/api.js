@@ -106,7 +106,7 @@ export class Backoff {
 const seenOrHidden = () => new Promise((resolve) => document.addEventListener('visibilitychange', resolve, {once: true}));
 
 /// Follows the program's state for ever, except in a tab that nobody sees (a browser has few connections to one server).
-/// state(value, anew): anew after the first response, a rest and each lost connection;
+/// state(value, anew): what has changed since the last one; anew: all of it, after the first response, a rest and each lost connection;
 /// lost(error): no response came, or none that helps (its status says which).
 export async function followState({state, lost}) {
   const backoff = new Backoff();
@@ -118,8 +118,7 @@ export async function followState({state, lost}) {
     }
     try {
       const value = await getJson(`./state?after=${after}`);
-      const anew = after === 0 || value.revision < after;
-      if (anew && after !== 0 && value.marks === null) { after = 0; continue; }  // another process: it must send all
+      const anew = after === 0 || value.revision < after;  // another process then, which sends all
       after = value.revision;
       backoff.reset();
       state(value, anew);

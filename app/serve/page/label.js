@@ -54,7 +54,7 @@ class LabelPage extends Page {
     const clicks = views.map(() => 0);
     for (const {view} of this.labeller.marks) clicks[view] += 1;
     this.strip.update(views, clicks, this.index, this.labeller.proposal?.view ?? -1);
-    this.panel.updateClasses(this.classes, this.labeller.ignore, this.labeller.chosen, this.settings.keysOf(this.classes), this.state.room);
+    this.panel.updateClasses(this.classes, this.labeller.ignore, this.labeller.chosen, this.settings.keysOf(this.classes), this.state);
     this.panel.updateRun(this.state);
     this.bars.update();
     this.offered = this.labeller.proposal?.id;

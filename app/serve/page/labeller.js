@@ -61,8 +61,8 @@ export class Labeller {
   /// A state that the program sent; anew: it may be another process.
   take(answer, anew) {
     const first = this.state === null;
-    this.births.see(merged(this.state, answer), anew);
-    this.state = merged(this.state, answer);
+    this.state = merged(anew ? null : this.state, answer);
+    this.births.see(this.state, anew);
     if (first) {
       this.remembered();
       this.queue.open(this.state.run.id);

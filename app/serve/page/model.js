@@ -1,9 +1,16 @@
 // What is shown: the program's state with the events on top that it does not know yet. Pure.
-import {freeColor} from './dom.js';
+import {freeColor, seenOnWhite} from './dom.js';
 
-/// The state with what a newer response brings; marks stay where it leaves them out.
+/// The state with what a newer answer brings, which leaves out what the page has; `state` null: before the first.
 export function merged(state, answer) {
-  return {...answer, marks: answer.marks ?? state?.marks ?? []};
+  const {marks_kept, ...news} = answer;
+  const next = {...state, ...news};
+  if (state && news.views) {
+    next.views = [...state.views];
+    for (const {index, ...changes} of news.views) next.views[index] = {...next.views[index], ...changes};
+  }
+  if (state && news.marks) next.marks = [...state.marks.slice(0, marks_kept), ...news.marks];
+  return next;
 }
 
 /// The name by which events say that a region is ignored: one that means "no class" to the program, and that no class has.
@@ -34,7 +41,8 @@ export function combined(state, pending, everyEvent) {
     if (!events.has(id) && everyEvent.has(id)) alive.push(everyEvent.get(id));
   }
 
-  const classes = state.classes.map((row) => ({...row, saved: true}));
+  // `given`: the colour that the program's label pictures have.
+  const classes = state.classes.map((row) => ({...row, color: row.own ? seenOnWhite(row.color) : row.color, given: row.color, saved: true}));
   const ignore = {...kIgnore, name: ignoreName(classes)};
   const byIndex = new Map(classes.map((row) => [row.index, row]));
   const byName = new Map(classes.map((row) => [row.name, row]));  // as events name them, one after the other

@@ -175,18 +175,19 @@ export class Page {
 
   /// From now on take(state, anew) gets what the program tells, and the line about the connection says whether it does.
   followProgram() {
-    this.tellConnection('connecting');
+    this.tellConnection('connecting', 'waiting');
     followState({
       state: (value, anew) => {
         this.tellConnection('connected');
         this.take(value, anew);
       },
-      lost: (error) => this.tellConnection(error.isElsewhere ? kMoved : kLost, true),
+      lost: (error) => this.tellConnection(error.isElsewhere ? kMoved : kLost, 'lost'),
     });
   }
 
-  tellConnection(words, isLost = false) {
+  /// kind: '', 'waiting' or 'lost'.
+  tellConnection(words, kind = '') {
     setText(byId('connection'), words);
-    byId('connection').classList.toggle('lost', isLost);
+    byId('connection').className = kind;
   }
 }

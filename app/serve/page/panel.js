@@ -91,6 +91,17 @@ export class Bars {
 const kWords = {labels: 'Label images', coco: 'COCO', mesh: 'Mesh'};
 const percent = (share) => (share >= 0.0995 ? `${Math.round(100 * share)}` : (100 * share).toFixed(1));
 
+const kMostUnreached = 0.05;
+
+/// Why certainty says nothing yet, or '': what is seen of a class without a click passes for another class, surely.
+export function unsureYet(classes, unreached) {
+  const bare = classes.filter(({clicks, area_share}) => !clicks && !area_share);
+  const made = bare.find(({own}) => !own);
+  if (made) return `"${made.name}" has no click yet`;
+  const hasAll = bare.length === 0 && classes.some(({own}) => own);
+  return unreached > kMostUnreached && !hasAll ? `no click reaches ${percent(unreached)} % of the surface yet` : '';
+}
+
 export class Panel {
   constructor(page) {
     this.page = page;
@@ -129,25 +140,29 @@ export class Panel {
   }
 
   /// keys: digit of a class's name, or none; ignore: the row of what is ignored.
-  updateClasses(classes, ignore, chosen, keys, room) {
+  updateClasses(classes, ignore, chosen, keys, {room, run}) {
     setAttribute(byId('ignore'), 'aria-pressed', chosen === ignore.name);
     setText(byId('ignore').querySelector('.clicks'), ignore.clicks ? String(ignore.clicks) : '');
     while (this.rows.length < classes.length) this.addRow();
     while (this.rows.length > classes.length) this.rows.pop().item.remove();
+    const unsure = unsureYet(classes, run.unreached);
     const hasChosen = classes.some(({name}) => name === chosen);
     classes.forEach((shown, i) => {
       const row = this.rows[i];
       row.shown = shown;
       const key = keys.get(shown.name) ?? '';
-      const [area, sure] = [`${percent(shown.area_share)} %`, `${Math.round(100 * shown.confidence)} %`];
       const hasArea = shown.area_share > 0;
-      const cells = {key, name: shown.name, clicks: shown.clicks || '', area: hasArea ? area : '', sure: hasArea ? sure : ''};
+      const area = !run.geometry_ready && !hasArea ? '\u2026' : `${percent(shown.area_share)} %`;
+      const sure = unsure ? '\u2013' : `${Math.round(100 * shown.confidence)} %`;
+      const isSeen = hasArea || shown.clicks > 0;
+      const cells = {key, name: shown.name, clicks: shown.clicks || '', area: isSeen ? area : '', sure: isSeen && (hasArea || unsure) ? sure : ''};
       for (const [cell, text] of Object.entries(cells)) setText(row[cell], String(text));
+      setAttribute(row.sure, 'title', unsure ? `Shown once every class that is seen has a click: ${unsure}.` : 'Mean certainty over the area');
       setStyle(row.swatch, '--color', cssColor(shown.color));
       setAttribute(row.item, 'aria-checked', shown.name === chosen);
       setAttribute(row.item, 'tabindex', shown.name === chosen || (!hasChosen && i === 0) ? 0 : -1);
       const told = shown.saved ? '' : ', not saved yet';
-      setAttribute(row.item, 'aria-label', `${shown.name}${key ? `, key ${key}` : ''}, ${shown.clicks} clicks, ${area} of the area, ${sure} sure${told}`);
+      setAttribute(row.item, 'aria-label', `${shown.name}${key ? `, key ${key}` : ''}, ${shown.clicks} clicks, ${area} of the area, ${unsure ? 'certainty not known yet' : `${sure} sure`}${told}`);
       setAttribute(row.item, 'title', `${shown.name}${told}: click to choose, double click to rename, merge or delete`);
       row.item.classList.toggle('unsaved', !shown.saved);
     });

@@ -272,6 +272,7 @@ void LabelSession::describe(LabelState& state) const {
   state.rays_per_s = rays_per_s_;
   state.geometry_ready = loop_.ready() && (loop_.learned() || !unlearned_);
   state.temperature = loop_.temperature();
+  state.unreached = summary_.unreached;
   state.proposal = proposal_;
   if (state.failure.empty())
     state.phase = !still_learns()   ? "trained; more clicks continue it"
@@ -304,7 +305,10 @@ void LabelSession::summarise() {
     sure[cls] += static_cast<double>(row[best]);
     entropy[i] = std::min(1.0, entropy_nats(row) / most);
   }
-  summary_ = {count, sure, {}};
+  const std::vector<Settled>& ways = loop_.graph().settled();
+  const auto open =
+      std::count_if(ways.begin(), ways.end(), [](const Settled& way) { return way.cost[0] >= ProposalRules().unseen; });
+  summary_ = {count, sure, {}, points > 0 ? static_cast<double>(open) / static_cast<double>(points) : 1};
   for (std::size_t c = 0; c < count.size(); ++c) {
     summary_.sure[c] = count[c] > 0 ? sure[c] / count[c] : 0;
     summary_.area[c] = points > 0 ? count[c] / static_cast<double>(points) : 0;
@@ -478,7 +482,6 @@ void LabelSession::name_classes(LabelState& next) const {
   }
   next.named = static_cast<int>(next.classes.size());
   next.room = table.valid_count();
-  next.marks_revision = next.revision + 1;
 }
 
 bool LabelSession::apply(const LabelEvent& event) {

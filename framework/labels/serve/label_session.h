@@ -136,6 +136,7 @@ class LabelSession final : public LabelSource {
   struct Summary {
     std::vector<double> area, sure;  // of classes: fraction of the surface, and mean confidence
     std::vector<double> entropy;     // of views
+    double unreached = 1;
   };
   void summarise();
   bool still_learns() const;

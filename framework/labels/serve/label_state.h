@@ -46,12 +46,12 @@ struct LabelState {
   std::uint64_t overlay_revision = 0;  ///< of the labels of views
   std::uint64_t overlay_events = 0;    ///< events that those labels know; `events`: all
   std::uint64_t events = 0;
-  std::uint64_t marks_revision = 0;  ///< `revision` when they changed last
   std::string name, run_dir, device;
   std::int64_t step = 0;
   double train_s = 0, loss = 0, psnr_db = 0, rays_per_s = 0;
   bool geometry_ready = false;
-  std::string phase;  ///< a short sentence
+  double unreached = 1;  ///< share of the surface that is far from every click, ProposalRules::unseen
+  std::string phase;     ///< a short sentence
   int named = 0, room = 0;
   double temperature = 1;
   std::vector<ClassState> classes;  ///< the named ones
