@@ -164,6 +164,16 @@ def held_out_miou(page, truth, index_of):
     return miou(confusion)
 
 
+def clicks_to(level, found):
+    """Clicks of the page's questions until the median of persons has this mIoU, between marks along a line; '-': never."""
+    scores = [s for s, _, _ in found]
+    marks = [(0, 0.0)] + [(m, statistics.median(s[m] for s in scores)) for m in sorted(scores[0])] if scores else []
+    for (before, low), (after, high) in zip(marks, marks[1:]):
+        if high >= level:
+            return round(before + (after - before) * (level - low) / (high - low))
+    return "-"
+
+
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("config", nargs="?", default="quickstart", help="of a labelled scene with held-out views")
@@ -200,7 +210,7 @@ def main():
         cells.append([question, *(f"{statistics.median(s):.3f} ({min(s):.3f} to {max(s):.3f})" for s in at),
                       f"{statistics.median(f[2] for f in found):.0f}"])
     print(table(["question", *(f"mIoU after {m}" for m in marks), "classes"], cells))
-    print(f"labelling: answer_p50_ms={statistics.median(answers):.0f} answer_p95_ms={np.percentile(answers, 95):.0f}")
+    print(f"labelling: clicks_to_06={clicks_to(0.6, rows.get('surface', []))} answer_p50_ms={statistics.median(answers):.0f} answer_p95_ms={np.percentile(answers, 95):.0f}")
     return 0
 
 
