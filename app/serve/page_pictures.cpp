@@ -10,6 +10,7 @@
 #include "app/serve/page_server.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "eval/photo_edges.h"
 #include "labels/mask_outlines.h"
 
 namespace semfield::app {
@@ -70,18 +71,22 @@ constexpr double kMostMask = 1.5e6;      // pixels
 constexpr std::int64_t kSpeckle = 5000;  // smaller pieces and holes than the picture by this have no outline
 constexpr double kLeastPart = 0.02;      // of the thing
 
-// A thing's mask at about the size of its photograph.
+// A thing's mask at about the size of its photograph, along its edges.
 ViewLabels at_size_of(const Picture& picture, const Image<std::uint8_t>& photo) {
   const std::int32_t width = picture.width_px, height = picture.height_px;
   const double most = std::sqrt(kMostMask / (double{1} * width * height));
   const auto times = static_cast<std::int32_t>(std::min(most, std::round(double{1} * photo.width_px / width)));
   ViewLabels mask{width, height, picture.label, {}};
   if (times > 1) {
-    StoredFrame guide;
-    guide.width_px = width * times;
-    guide.height_px = height * times;
-    guide.rgb = resize_area(photo, guide.width_px, guide.height_px).pixels;
-    mask = upsampled({times, width, height, picture.label, std::vector<std::uint8_t>(picture.label.size())}, guide);
+    mask.width_px = width * times;
+    mask.height_px = height * times;
+    std::vector<float> rows;
+    for (const std::int16_t label : picture.label)
+      for (const bool is_in : {true, false}) rows.push_back(is_in == (label != kVoid) ? 1.0F : 0.0F);
+    const Image<std::uint8_t> guide = resize_area(photo, mask.width_px, mask.height_px);
+    mask.label = labels_on_photo({1, width, height, rows, {0, kVoid}, width, height}, guide.pixels, guide.width_px,
+                                 guide.height_px)
+                     .label;
   }
   fill_small_regions(mask.label, mask.width_px, mask.height_px,
                      std::max<std::int64_t>(2, std::ssize(mask.label) / kSpeckle));
