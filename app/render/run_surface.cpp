@@ -16,6 +16,7 @@
 #include "core/error.h"
 #include "core/files.h"
 #include "eval/report/report.h"
+#include "scene/camera_rig.h"
 #include "scene/scene.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/shape/simplify.h"

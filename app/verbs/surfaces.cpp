@@ -23,6 +23,7 @@
 #include "core/small_math.h"
 #include "core/text.h"
 #include "eval/image_output.h"
+#include "scene/camera_rig.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/point_files.h"
 #include "surface/mesh/score/mesh_score.h"

@@ -1,5 +1,7 @@
 #include "scene/camera_rig.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
@@ -355,6 +357,46 @@ std::optional<PlainBackground> find_plain_background(const Cameras& cameras,
   if (coarse.empty()) return std::nullopt;
   out.object = silhouettes.hull(coarse);  // the same number of voxels over less space
   return out.object.empty() ? std::nullopt : std::optional(out);
+}
+
+namespace {
+
+constexpr double kNearAxis = 0.9397;  // cosine of 20 degrees
+constexpr double kCancelled = 0.1;    // length of a mean of unit vectors that say nothing together
+
+// x, -x, y, -y, z, -z.
+Vec3d axis(int number) {
+  Vec3d out;
+  out[number / 2] = number % 2 == 0 ? 1 : -1;
+  return out;
+}
+
+}  // namespace
+
+std::optional<Vec3d> up_of_cameras(std::span<const Pose> world_from_camera) {
+  Vec3d sum;
+  for (const Pose& pose : world_from_camera) sum = sum - pose.axis(1);
+  if (!(length(sum) > kCancelled * static_cast<double>(world_from_camera.size()))) return std::nullopt;
+  const Vec3d mean = normalized(sum);
+  for (int i = 0; i < 6; ++i) {
+    if (dot(axis(i), mean) > kNearAxis) return axis(i);
+  }
+  return mean;
+}
+
+std::optional<Vec3d> axis_named(const std::string& name) {
+  for (int i = 0; i < 6; ++i) {
+    const std::string text = axis_text(axis(i));
+    if (name == text || (i % 2 == 0 && name == text.substr(1))) return axis(i);
+  }
+  return std::nullopt;
+}
+
+std::string axis_text(Vec3d up) {
+  for (int i = 0; i < 6; ++i) {
+    if (up == axis(i)) return fmt::format("{}{}", i % 2 == 0 ? '+' : '-', "xyz"[i / 2]);
+  }
+  return fmt::format("({:.3f}, {:.3f}, {:.3f})", up.x, up.y, up.z);
 }
 
 }  // namespace semfield

@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
+#include <string>
 #include <vector>
 
 #include "core/small_math.h"
@@ -72,5 +74,16 @@ struct PlainBackground {
 std::optional<PlainBackground> find_plain_background(const Cameras& cameras,
                                                      const std::vector<const StoredFrame*>& pixels,
                                                      const CameraRig& rig);
+
+// Which way is up, as cameras show it.
+
+/// The mean of the cameras' up vectors as a unit vector; the axis of the world that it lies within 20 degrees of, where
+/// there is one. Nothing where they cancel.
+std::optional<Vec3d> up_of_cameras(std::span<const Pose> world_from_camera);
+
+/// x, y, z or one of them with a sign before it; nothing for anything else.
+std::optional<Vec3d> axis_named(const std::string& name);
+/// "+z", or the numbers of a direction that is no axis.
+std::string axis_text(Vec3d up);
 
 }  // namespace semfield

@@ -767,7 +767,7 @@ TEST(Proposals, WithOneClassTheOpenSurfaceIsAskedFor) {
 TEST(Proposals, TheFirstQuestionsAreAboutWhatLooksUnlikeTheClicked) {
   Known known;
   std::vector<PoolPoint>& points = known.pool.points;
-  for (std::size_t i = 0; i < points.size(); ++i) points[i].color = i % 4 == 0 ? Vec3d{0.9, 0.2, 0.2} : Vec3d{};
+  for (std::size_t i = 0; i < points.size(); ++i) points[i].color = i % 2 == 0 ? Vec3d{0.9, 0.2, 0.2} : Vec3d{};
   for (PoolPoint& point : points) point.normal = {0, 0, 1};
   known.click(0, 1);
   const auto red = [&](std::size_t clicks) {
@@ -776,7 +776,7 @@ TEST(Proposals, TheFirstQuestionsAreAboutWhatLooksUnlikeTheClicked) {
       ProposalInput input = known.input(3, round);
       input.clicks = clicks;
       input.rules.reach = 1e-3F;  // a point by itself
-      found += choose_click(input)->point % 4 == 0;
+      found += choose_click(input)->point % 2 == 0;
     }
     return found;
   };

@@ -18,6 +18,7 @@
 #include "core/text.h"
 #include "datasets/obj_room/obj_room.h"
 #include "scene/camera.h"
+#include "scene/camera_rig.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/shape/simplify.h"

@@ -2,7 +2,6 @@
 
 import json
 import pathlib
-import re
 import signal
 import subprocess
 
@@ -155,7 +154,7 @@ def look(driver, program, run):
         assert seen is not None, "the mesh is seen nowhere"
         page.mouse(seen)
         page.wait("semfield.points.length === 1 && semfield.points[0].told !== undefined", "a point does not say what it is")
-        assert re.match(r".* [01]\.[0-9]{2}.* at -?[0-9.]+, ", page.text("#readout")), page.text("#readout")
+        page.wait("/ [01][.][0-9]{2}.* at -?[0-9.]+, /.test(document.getElementById('readout').textContent)", "no reading of it")
         edit_objects(page, run)
         page.run("semfield.views = [semfield.camera.state()]; semfield.camera.turn(40, 0); semfield.views.push(semfield.camera.state())")
         lines = page.run("return semfield.pathText()").split("\n")[:-1]

@@ -53,7 +53,8 @@ class ServeTest(page_case.PageCase, ProgramCase):
         self.fail(f"labels stay behind: {state['overlay']} of {state['events']} events, {state['run']}")
 
     def wait_mixed(self, page, x, y, color, why):
-        """Until the page shows the class over the picture at a pixel of the view: 55 of 100 parts of it."""
+        """Until the page shows the class over the picture at a pixel of the view: 55 of 100 parts of it, as white walls need it."""
+        color = page.run(f"return import('./dom.js').then(({{seenOnWhite}}) => seenOnWhite({list(color)}))")
         at = self.page_of(page, x, y)
         seen = under = None
         for _ in range(40):

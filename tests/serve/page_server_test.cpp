@@ -224,14 +224,14 @@ TEST_F(ServedPage, AThingIsItsFactsOutlinesAndAMaskOfThePhotographsSize) {
                                          {"class_guess", 1},
                                          {"width", 4},
                                          {"height", 3},
-                                         {"outlines", {{{0.0, 0.0}, {2.0, 0.0}, {2.0, 3.0}, {0.0, 3.0}}}}}));
+                                         {"outlines", {{{2.0, 0.0}, {2.0, 3.0}, {0.0, 3.0}, {0.0, 0.0}}}}}));
   EXPECT_EQ(png(parts[1]).bytes, (std::vector<std::uint8_t>{255, 255, 0, 0, 255, 255, 0, 0, 255, 255, 0, 0}));
   // The photograph of the other view is larger, and its outlines are in pixels of the view all the same.
   const std::vector<std::string> large = parts_of(post("thing", R"({"client":"c","view":1,"also":[[1,1]]})"));
   const Json facts = Json::parse(large.at(0));
   EXPECT_EQ(facts["width"], 12);
   EXPECT_EQ(facts["height"], 9);
-  EXPECT_EQ(facts["outlines"], (Json{{{0.0, 0.0}, {3.0, 0.0}, {3.0, 4.5}, {0.0, 4.5}}}));
+  EXPECT_EQ(facts["outlines"], (Json{{{3.0, 0.0}, {3.0, 4.5}, {0.0, 4.5}, {0.0, 0.0}}}));
   EXPECT_EQ(png(large.at(1)).bytes.size(), 108u);
 }
 

@@ -1,7 +1,5 @@
 #include "surface/mesh/surface.h"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -112,48 +110,6 @@ std::int32_t triangle_instance(const PointAttributes& attributes, const Triangle
   const std::int32_t a = attributes.instance[triangle[0]], b = attributes.instance[triangle[1]],
                      c = attributes.instance[triangle[2]];
   return b == c ? b : a;
-}
-
-// Up vectors and turns.
-
-namespace {
-
-constexpr double kNearAxis = 0.9397;  // cosine of 20 degrees
-constexpr double kCancelled = 0.1;    // length of a mean of unit vectors that say nothing together
-
-// x, -x, y, -y, z, -z.
-Vec3d axis(int number) {
-  Vec3d out;
-  out[number / 2] = number % 2 == 0 ? 1 : -1;
-  return out;
-}
-
-}  // namespace
-
-std::optional<Vec3d> up_of_cameras(std::span<const Pose> world_from_camera) {
-  Vec3d sum;
-  for (const Pose& pose : world_from_camera) sum = sum - pose.axis(1);
-  if (!(length(sum) > kCancelled * static_cast<double>(world_from_camera.size()))) return std::nullopt;
-  const Vec3d mean = normalized(sum);
-  for (int i = 0; i < 6; ++i) {
-    if (dot(axis(i), mean) > kNearAxis) return axis(i);
-  }
-  return mean;
-}
-
-std::optional<Vec3d> axis_named(const std::string& name) {
-  for (int i = 0; i < 6; ++i) {
-    const std::string text = axis_text(axis(i));
-    if (name == text || (i % 2 == 0 && name == text.substr(1))) return axis(i);
-  }
-  return std::nullopt;
-}
-
-std::string axis_text(Vec3d up) {
-  for (int i = 0; i < 6; ++i) {
-    if (up == axis(i)) return fmt::format("{}{}", i % 2 == 0 ? '+' : '-', "xyz"[i / 2]);
-  }
-  return fmt::format("({:.3f}, {:.3f}, {:.3f})", up.x, up.y, up.z);
 }
 
 std::array<double, 4> turn_to_y(Vec3d up) {

@@ -15,8 +15,8 @@
 #include "execution/lane_executor.h"
 #include "labels/clicks.h"
 #include "labels/label_files.h"
+#include "scene/camera_rig.h"
 #include "scene/classes/class_table.h"
-#include "surface/mesh/surface.h"
 #include "surface/objects/object_set.h"
 #include "surface/surface_graph.h"
 
