@@ -74,16 +74,17 @@ constexpr double kLeastPart = 0.02;      // of the thing
 // A thing's mask at about the size of its photograph, along its edges.
 ViewLabels at_size_of(const Picture& picture, const Image<std::uint8_t>& photo) {
   const std::int32_t width = picture.width_px, height = picture.height_px;
-  const double most = std::sqrt(kMostMask / (double{1} * width * height));
-  const auto times = static_cast<std::int32_t>(std::min(most, std::round(double{1} * photo.width_px / width)));
   ViewLabels mask{width, height, picture.label, {}};
-  if (times > 1) {
-    mask.width_px = width * times;
-    mask.height_px = height * times;
+  if (photo.width_px > width) {
+    const double less = std::sqrt(kMostMask / (double{1} * photo.width_px * photo.height_px));
+    const auto side = [&](std::int32_t px) { return std::max(1, static_cast<std::int32_t>(px * less)); };
+    const Image<std::uint8_t> guide =
+        less < 1 ? resize_area(photo, side(photo.width_px), side(photo.height_px)) : photo;
+    mask.width_px = guide.width_px;
+    mask.height_px = guide.height_px;
     std::vector<float> rows;
     for (const std::int16_t label : picture.label)
       for (const bool is_in : {true, false}) rows.push_back(is_in == (label != kVoid) ? 1.0F : 0.0F);
-    const Image<std::uint8_t> guide = resize_area(photo, mask.width_px, mask.height_px);
     mask.label = labels_on_photo({1, width, height, rows, {0, kVoid}, width, height}, guide.pixels, guide.width_px,
                                  guide.height_px)
                      .label;

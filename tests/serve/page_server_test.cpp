@@ -230,9 +230,9 @@ TEST_F(ServedPage, AThingIsItsFactsOutlinesAndAMaskOfThePhotographsSize) {
   const std::vector<std::string> large = parts_of(post("thing", R"({"client":"c","view":1,"also":[[1,1]]})"));
   const Json facts = Json::parse(large.at(0));
   EXPECT_EQ(facts["width"], 12);
-  EXPECT_EQ(facts["height"], 9);
-  EXPECT_EQ(facts["outlines"], (Json{{{3.0, 0.0}, {3.0, 4.5}, {0.0, 4.5}, {0.0, 0.0}}}));
-  EXPECT_EQ(png(large.at(1)).bytes.size(), 108u);
+  EXPECT_EQ(facts["height"], 8);
+  EXPECT_EQ(facts["outlines"], (Json{{{3.0, 0.0}, {3.0, 4.0}, {0.0, 4.0}, {0.0, 0.0}}}));
+  EXPECT_EQ(png(large.at(1)).bytes.size(), 96u);
 }
 
 TEST_F(ServedPage, WrongRequestsForThingsAreRefused) {
