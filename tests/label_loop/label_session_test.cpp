@@ -903,39 +903,6 @@ TEST_F(LargeRoom, AViewIsRenderedAsLargeAsItCanBeSoon) {
   expect_whole(pictures.make(rendered_view(1)), true, false, false);
 }
 
-// Training sees a photograph smaller than the page does: labels come at the page's size, and marks in its pixels.
-TEST_F(PicturedRoom, LabelsComeAtTheSizeOfALargerPhotograph) {
-  loop->learn(clicks(8));
-  std::int32_t asked_px = 0;
-  ViewPictures larger{*training, *loop, [&](int view, std::int32_t most_px) {
-                        asked_px = most_px;
-                        const StoredFrame& photo = *loop->view(view).photo;
-                        return resize_area({48, 36, 3, photo.rgb}, 120, 90);
-                      }};
-  pictures.set_marks({{"other", loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}});
-  larger.set_marks({{"other", loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}});
-  (void)larger.make(of_view(1));
-  EXPECT_TRUE(larger.refine(1));
-  EXPECT_GT(asked_px, 900);
-  (void)pictures.make(of_view(1));
-  while (!pictures.refine(1)) {
-  }
-  while (!larger.refine(1)) {
-  }
-  const Picture small = pictures.make(of_view(1)), large = larger.make(of_view(1));
-  ASSERT_EQ(large.width_px, 120);
-  ASSERT_EQ(large.height_px, 90);
-  expect_whole(large, false, true, false);
-  ASSERT_EQ(large.seen.size(), small.seen.size());
-  ASSERT_FALSE(large.seen.empty());
-  EXPECT_NEAR(large.seen[0].points[0].x, 2.5 * small.seen[0].points[0].x, 1e-9);
-  int alike = 0;
-  for (int y = 0; y < 36; ++y)
-    for (int x = 0; x < 48; ++x)
-      alike += large.label[(5 * y + 2) / 2 * 120 + (5 * x + 2) / 2] == small.label[y * 48 + x] ? 1 : 0;
-  EXPECT_GT(alike, 48 * 36 * 9 / 10);
-}
-
 TEST_F(LargeRoom, ClicksOfOtherViewsAreInPixelsOfThePicture) {
   std::vector<Annotations::Mark> marks;
   for (int y = 6; y < 108; y += 12)
