@@ -4,7 +4,11 @@ import json
 import math
 import pathlib
 import statistics
+import struct
 import sys
+import zlib
+
+import numpy as np
 
 # 97.5th percentiles of Student's distribution for 1, 2, ... degrees of freedom; more than 20 have that of 20.
 T_975 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18, 2.16, 2.14, 2.13, 2.12, 2.11, 2.10,
@@ -42,6 +46,20 @@ def table(head, rows):
     lines = [list(head), *([str(c).replace("|", "\\|") for c in row] for row in rows)]
     text = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([text[0], "|" + "---|" * len(head), *text[1:]]) + "\n"
+
+
+def png_values(png):
+    """[H, W] of a grey or palette PNG of 8 or 16 bits a pixel whose rows are stored as they are, as semfield writes them."""
+    width, height, bits = struct.unpack_from(">IIB", png, 16)
+    data, at = b"", 8
+    while at < len(png):
+        size, kind = struct.unpack_from(">I4s", png, at)
+        data += png[at + 8:at + 8 + size] if kind == b"IDAT" else b""
+        at += size + 12
+    rows = np.frombuffer(zlib.decompress(data), np.uint8).reshape(height, bits // 8 * width + 1)
+    if rows[:, 0].any():
+        sys.exit("a picture is no plain PNG")
+    return np.ascontiguousarray(rows[:, 1:]).view(f">u{bits // 8}").astype(np.int64)
 
 
 def read(path):

@@ -22,12 +22,11 @@ import tempfile
 import threading
 import time
 import urllib.parse
-import zlib
 
 import numpy as np
 
 import semfield as sf
-from common import settings, table
+from common import png_values, settings, table
 from semfield.program import program
 
 MARKS = (10, 20, 30, 60, 100, 180, 300)  # clicks after which the held-out views are scored
@@ -82,25 +81,11 @@ class Page:
             size = struct.unpack_from("<I", data)[0]
             parts.append(data[4:4 + size])
             data = data[4 + size:]
-        return None if json.loads(parts[0])["stale"] else palette_indices(parts[2]) - 1
+        return None if json.loads(parts[0])["stale"] else png_values(parts[2]) - 1
 
     def close(self):
         self.process.terminate()
         self.process.wait()
-
-
-def palette_indices(png):
-    """[H, W] of a palette PNG of 8 bits a pixel."""
-    width, height, bits = struct.unpack_from(">IIB", png, 16)
-    data, at = b"", 8
-    while at < len(png):
-        size, kind = struct.unpack_from(">I4s", png, at)
-        data += png[at + 8:at + 8 + size] if kind == b"IDAT" else b""
-        at += size + 12
-    rows = np.frombuffer(zlib.decompress(data), np.uint8).reshape(height, width + 1)
-    if bits != 8 or rows[:, 0].any():
-        sys.exit("labelling: the page's labels are no plain PNG of 8 bits")
-    return rows[:, 1:].astype(np.int64)
 
 
 def miou(confusion):

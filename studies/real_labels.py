@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How good labels of a real room become: few, coarse and wrong ones, clicks by the page's questions, things by one click.
 
-    studies/real_labels.py configs/real_room.yaml --out runs/real_labels --instances data/real_room/instance --ignore wall,floor
+    studies/real_labels.py configs/real_room.yaml --out runs/real_labels --ignore wall,floor
 
 It runs the settings of configs/experiments/real_labels.yaml on the scene, then studies/labelling.py and studies/things.py.
 `semfield prepare` should have mended the cameras. What has been made in --out is not made again. The last line has means over seeds:
@@ -40,7 +40,6 @@ def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("config", type=pathlib.Path, help="of a scene with labels of all frames, and held-out frames")
     p.add_argument("--out", type=pathlib.Path, required=True)
-    p.add_argument("--instances", help="folder of instance images FRAME.png, for the things")
     p.add_argument("--ignore", default="", help="names of classes that are stuff, separated by commas")
     p.add_argument("--device", default="auto")
     p.add_argument("--seeds", type=int, default=3)
@@ -64,11 +63,8 @@ def main():
     shared = ["--device", options.device, "--geometry", options.geometry]
     asked = last_line([HERE / "labelling.py", options.config, "--questions", "surface", "--seeds", options.seeds, "--clicks",
                        options.clicks, *shared], options.out / "labelling.txt")
-    things = {}
-    if options.instances:
-        things = last_line([HERE / "things.py", options.config, "--instances", options.instances, "--ignore", options.ignore,
-                            "--geometry", options.geometry, "--set", f"runtime.device={options.device}"],
-                           options.out / "things.txt")
+    things = last_line([HERE / "things.py", options.config, "--ignore", options.ignore, "--geometry", options.geometry,
+                        "--set", f"runtime.device={options.device}"], options.out / "things.txt")
     print(f"real_labels: all={pair('all', 'miou_present')} click={pair('click', 'miou_present')} "
           f"click_border={pair('click', 'border_miou')} p1={pair('1 %', 'miou_present')} "
           f"frames10={pair('10 % of the frames', 'miou_present')} clicks_to_06={asked.get('clicks_to_06', '-')} "

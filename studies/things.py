@@ -19,74 +19,69 @@ import subprocess
 import sys
 import tempfile
 import time
-import zlib
 
 import numpy as np
-from scipy import ndimage
 
 import semfield as sf
-from common import settings, table
+from common import png_values, settings, table
 from labelling import Page
 from semfield.program import program
 
 
-def png_grey(data):
-    """[H, W] of a grey or palette PNG of 8 or 16 bits a pixel."""
-    width, height, bits = struct.unpack_from(">IIB", data, 16)
-    packed, at = b"", 8
-    while at < len(data):
-        size, kind = struct.unpack_from(">I4s", data, at)
-        packed += data[at + 8:at + 8 + size] if kind == b"IDAT" else b""
-        at += size + 12
-    step = bits // 8
-    rows = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(height, step * width + 1)
-    out = np.zeros((height, step * width), np.int64)
-    for y, row in enumerate(rows):
-        above = out[y - 1] if y else np.zeros(step * width, np.int64)
-        own = row[1:].astype(np.int64)
-        if row[0] == 2:
-            own = (own + above) & 255
-        elif row[0] != 0:
-            left, corner = [0] * step, [0] * step
-            values = own.tolist()
-            for i, value in enumerate(values):
-                k, up = i % step, int(above[i])
-                a, c = left[k], corner[k]
-                nearest = min((abs(up - c), 0, a), (abs(a - c), 1, up), (abs(a + up - 2 * c), 2, c))[2]
-                values[i] = (value + {1: a, 3: (a + up) // 2, 4: nearest}[int(row[0])]) & 255
-                left[k], corner[k] = values[i], up
-            own = np.array(values)
-        out[y] = own
-    return out if step == 1 else 256 * out[:, ::2] + out[:, 1::2]
-
-
 def truths(run, options, words, folder):
-    """Of the number of a frame in the scene: [H, W] numbers of instances, 0 for stuff, -1 for void."""
+    """Of the name of a frame: [H, W] numbers of instances, 0 for stuff, -1 for void."""
     names = [frame.name for frame in run.frames]
-    things = {c.id for c in run.classes if c.name not in options.ignore.split(",")}
+    things = [c.id for c in run.classes if c.name not in options.ignore.split(",")]
     valid = [c.id for c in run.classes]
-    if not options.instances:
-        subprocess.run([program(), "-q", "pack", options.config, "--format", "replica", "--out", folder, *words],
-                       check=True)
+    subprocess.run([program(), "-q", "pack", options.config, "--format", "replica", "--out", folder, *words], check=True)
 
     def of(name):
-        file = pathlib.Path(options.instances, f"{name}.png") if options.instances else \
-            pathlib.Path(folder, "semantic_instance", f"semantic_instance_{names.index(name)}.png")
-        labels, instances = run.pixels(name).labels, png_grey(file.read_bytes())
-        return np.where(np.isin(labels, list(things)), instances, np.where(np.isin(labels, valid), 0, -1))
+        file = pathlib.Path(folder, "semantic_instance", f"semantic_instance_{names.index(name)}.png")
+        labels, instances = run.pixels(name).labels, png_values(file.read_bytes())
+        return np.where(np.isin(labels, things), instances, np.where(np.isin(labels, valid), 0, -1))
     return of
 
 
 def interior(mask):
-    """[x, y] of the middle of the pixel that lies farthest inside."""
-    distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    y, x = np.unravel_index(int(distance.argmax()), mask.shape)
-    return [float(x) + 0.5, float(y) + 0.5]
+    """[x, y] of the middle of a pixel that lies farthest inside, by steps along rows and columns."""
+    mask = np.pad(mask, 1)
+    while mask.any():
+        last = mask
+        mask = mask & np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1)
+    rows, columns = np.nonzero(last)
+    middle = len(rows) // 2
+    return [float(columns[middle]) - 0.5, float(rows[middle]) - 0.5]
 
 
 def largest(mask):
-    parts, count = ndimage.label(mask)
-    return parts == 1 + int(np.bincount(parts.ravel())[1:].argmax()) if count else mask
+    """The connected part of the mask with the most pixels."""
+    up, runs, before = [], [], []  # of each run of a row: the run that stands for its part; (row, begin, end)
+
+    def part(run):
+        while up[run] != run:
+            run = up[run]
+        return run
+    for y, row in enumerate(np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)):
+        own = []
+        for begin, end in zip(np.flatnonzero(row == 1), np.flatnonzero(row == -1)):
+            number = len(runs)
+            up.append(number)
+            runs.append((y, begin, end))
+            own.append(number)
+            for other in before:
+                if runs[other][1] < end and begin < runs[other][2]:
+                    a, b = sorted((part(other), part(number)))
+                    up[b] = a
+        before = own
+    pixels = {}
+    for number, (_, begin, end) in enumerate(runs):
+        pixels[part(number)] = pixels.get(part(number), 0) + end - begin
+    most = max(pixels, key=pixels.get, default=None)
+    out = np.zeros_like(mask)
+    for number, (y, begin, end) in enumerate(runs):
+        if part(number) == most:
+            out[y, begin:end] = True
+    return out
 
 
 class Person:
@@ -99,7 +94,7 @@ class Person:
                                             "level": level})
         self.answers.append(1e3 * (time.perf_counter() - begin))
         size = struct.unpack_from("<I", data)[0]
-        return json.loads(data[4:4 + size]), png_grey(data[8 + size:]) > 0
+        return json.loads(data[4:4 + size]), png_values(data[8 + size:]) > 0
 
     def course(self, view, truth, instance):
         """IoU after each of three clicks, and the best within two turns of the wheel."""
@@ -127,7 +122,6 @@ class Person:
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("config", help="of a scene with labels and instances")
-    p.add_argument("--instances", help="folder of instance images FRAME.png; without it, `semfield pack` writes them")
     p.add_argument("--ignore", default="", help="names of classes that are stuff, separated by commas")
     p.add_argument("--things", type=int, default=200, help="instances in views, spread over views")
     p.add_argument("--pixels", type=int, default=600, help="labelled ones that an instance has at least")

@@ -77,7 +77,8 @@ struct RenderOptions : Options {
   const bool& probability =
       flag("--probability", "also write the probability of every class as float32 .npy [height, width, classes]");
   const bool& field_labels = flag(
-      "--field-labels", "labels as the field has them, which else cling to the edges of photograph or rendered colour");
+      "--field-labels",
+      "labels as the field has them; without it they cling to the edges of the photograph, or of the rendered colour");
   const std::string& channel =
       value("--channel NAME", "also write this channel of a head as float32 .npy [height, width, columns]");
   const std::vector<std::string>& set = run_settings();

@@ -315,6 +315,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     measure(labels && job.stride == 1, [&] { detail.add(truth, frame.label, frame.width_px); });
     measure(!photo.label.empty(), [&] { photo_confusion.add(truth, photo.label); });
     measure(!photo.label.empty(), [&] { photo_detail.add(truth, photo.label, width); });
+    // Their likelihood is not asked for.
     measure(!photo.label.empty(),
             [&] { photo_calibration.add(photo.confidence, photo.confidence, photo.label, truth); });
     measure(labels, [&] { calibration.add(frame.confidence, frame.truth_probability, frame.label, truth); });

@@ -13,7 +13,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/joined_sets.h"
+#include "labels/mask_outlines.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {
@@ -171,18 +171,12 @@ void LabelDetail::add(std::span<const std::int16_t> truth, std::span<const std::
   for (std::size_t i = 0; i < near.size(); ++i)
     if (beside[i] == 0) near[i] = kVoid;
   border.add(near, predicted);
-  JoinedSets pieces(truth.size());
-  const auto width = static_cast<std::size_t>(width_px);
-  for (std::size_t i = 0; i < predicted.size(); ++i) {
-    if (i % width > 0 && predicted[i] == predicted[i - 1]) pieces.join(i, i - 1);
-    if (i >= width && predicted[i] == predicted[i - width]) pieces.join(i, i - width);
-  }
-  std::vector<std::int64_t> area(truth.size(), 0);
-  for (std::size_t i = 0; i < truth.size(); ++i) ++area[pieces.of(i)];
+  const std::vector<std::int16_t> label(predicted.begin(), predicted.end());
+  const PixelRegions pieces = regions_of(label, width_px, static_cast<std::int32_t>(std::ssize(label) / width_px));
   for (std::size_t i = 0; i < truth.size(); ++i) {
     if (truth[i] == kVoid) continue;
     ++labelled_;
-    const bool small = area[pieces.of(i)] * kSpecksOfImage < std::ssize(truth);
+    const bool small = pieces.pixels[pieces.of_pixel[i]] * kSpecksOfImage < std::ssize(truth);
     in_specks_ += small && predicted[i] != truth[i] ? 1 : 0;
   }
 }

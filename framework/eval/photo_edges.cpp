@@ -227,9 +227,8 @@ std::vector<std::int16_t> clinging_labels(const FrameInfo* info, const RenderedF
     photo = read_rgb(info->source);
     const double shape =
         static_cast<double>(photo.width_px) * height_px / (static_cast<double>(photo.height_px) * width_px);
-    if (std::abs(shape - 1) > kSameShape) photo = {};
-    if (!photo.pixels.empty() && (photo.width_px != width_px || photo.height_px != height_px))
-      photo = resize_area(photo, width_px, height_px);
+    const bool fits = std::abs(shape - 1) <= kSameShape && photo.width_px >= width_px && photo.height_px >= height_px;
+    photo = fits ? resize_area(photo, width_px, height_px) : Image<std::uint8_t>();
   }
   if (photo.pixels.empty() && !rendered.rgb.empty() && rendered.stride == 1) photo.pixels = to_bytes(rendered.rgb);
   if (photo.pixels.empty()) return rendered.label;

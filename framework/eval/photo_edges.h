@@ -55,8 +55,8 @@ PhotoLabels labels_on_photo(const RenderedFrame& frame, int classes, std::span<c
                             std::int32_t width_px, std::int32_t height_px);
 
 /// Labels [height * width] of a rendered frame of the scene: along the edges of its photograph, which is read from the
-/// frame's file and brought to that size; of the rendered colour where there is no file of that shape, as of one that
-/// is turned by its EXIF data, or no frame. Throws as read_rgb.
+/// frame's file and brought to that size; of the rendered colour where there is no frame or no file, or one that is
+/// smaller or of another shape, such as one that is turned by its EXIF data. Throws as read_rgb.
 std::vector<std::int16_t> clinging_labels(const FrameInfo* info, const RenderedFrame& rendered, int classes,
                                           std::int32_t width_px, std::int32_t height_px);
 

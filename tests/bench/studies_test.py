@@ -13,7 +13,7 @@ SMALL = ["--set", "scene.frames=10", "--set", "scene.test_frames=2", "--set", "s
 
 def run(*words, code=0):
     done = subprocess.run([sys.executable, STUDIES / f"{NAME}.py", *map(str, words)], capture_output=True, text=True,
-                          check=False)
+                          check=False, cwd=STUDIES.parent)
     assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
@@ -46,5 +46,11 @@ def labelling(folder):
     assert "mIoU after 3" in out and "answer_p50_ms=" in out, out
 
 
+def things(folder):
+    out = run("configs/quickstart.yaml", "--ignore", "wall,floor,ceiling", "--things", 3, "--pixels", 20, "--geometry", 1,
+              *SMALL, "--set", "scene.instances=pieces", "--set", "runtime.device=cpu")
+    assert "things: things=3 iou1=" in out, out
+
+
 with tempfile.TemporaryDirectory() as name:
-    {"quadrature": quadrature, "leave_out": leave_out, "labelling": labelling}[NAME](pathlib.Path(name))
+    {"quadrature": quadrature, "leave_out": leave_out, "labelling": labelling, "things": things}[NAME](pathlib.Path(name))

@@ -11,6 +11,9 @@
 #include "core/rng.h"
 #include "eval/evaluator.h"
 #include "eval/metrics.h"
+#include "formats/image_io.h"
+#include "scene/scene.h"
+#include "tests/temp_dir.h"
 #include "tests/threads.h"
 
 namespace semfield {
@@ -190,6 +193,48 @@ TEST(PhotoLabels, ProbabilitiesAreThoseOfWhatIsKnown) {
   evidence.probability = rows;
   const PhotoLabels none = labels_on_photo(evidence, grey, kWidth, kHeight);
   EXPECT_EQ(std::count(none.label.begin(), none.label.end(), std::int16_t{-1}), std::ssize(none.label));
+}
+
+// A frame whose photograph has its edge at column 40 and whose rendered colour has it at 44; the classes change at 42.
+struct ClingingFrame {
+  TempDir dir;
+  FrameInfo info;
+  RenderedFrame rendered;
+  ClingingFrame() {
+    rendered.width_px = 96;
+    rendered.height_px = 72;
+    for (const std::uint8_t value : two_colors(96, 72, 44)) rendered.rgb.push_back(static_cast<float>(value) / 255.0F);
+    for (int i = 0; i < 96 * 72; ++i) {
+      const bool left = i % 96 < 42;
+      rendered.label.push_back(left ? 0 : 1);
+      rendered.probability.push_back(left ? 0.8F : 0.2F);
+      rendered.probability.push_back(left ? 0.2F : 0.8F);
+    }
+    info.source = dir / "photo.png";
+  }
+  // The column of the border with a photograph of this size, whose edge is at this column.
+  int border(int width, int height, int edge) {
+    write_png_rgb(info.source, width, height, two_colors(width, height, edge));
+    return border(&info);
+  }
+  int border(const FrameInfo* of) const {
+    const std::vector<std::int16_t> label = clinging_labels(of, rendered, 2, 96, 72);
+    const auto row = label.begin() + 36 * 96;
+    return static_cast<int>(std::find(row, row + 96, 1) - row);
+  }
+};
+
+TEST(PhotoLabels, TakeTheRenderedColourWhereNoPhotographFits) {
+  ClingingFrame frame;
+  EXPECT_NEAR(frame.border(96, 72, 40), 40, 1);
+  EXPECT_NEAR(frame.border(192, 144, 80), 40, 1) << "larger: made smaller";
+  EXPECT_NEAR(frame.border(48, 36, 20), 44, 1) << "smaller";
+  EXPECT_NEAR(frame.border(72, 96, 30), 44, 1) << "turned";
+  frame.info.source.clear();
+  EXPECT_NEAR(frame.border(&frame.info), 44, 1) << "no file";
+  EXPECT_NEAR(frame.border(nullptr), 44, 1) << "no frame";
+  frame.rendered.rgb.clear();
+  EXPECT_EQ(frame.border(nullptr), 42) << "nothing to cling to";
 }
 
 // Classes 0 and 1 with a gap of void between them, which is a border up to eight pixels wide.

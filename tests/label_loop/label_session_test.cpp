@@ -903,6 +903,39 @@ TEST_F(LargeRoom, AViewIsRenderedAsLargeAsItCanBeSoon) {
   expect_whole(pictures.make(rendered_view(1)), true, false, false);
 }
 
+// Training sees a photograph smaller than the page does: labels come at the page's size, and marks in its pixels.
+TEST_F(PicturedRoom, LabelsComeAtTheSizeOfALargerPhotograph) {
+  loop->learn(clicks(8));
+  std::int32_t asked_px = 0;
+  ViewPictures larger{*training, *loop, [&](int view, std::int32_t most_px) {
+                        asked_px = most_px;
+                        const std::vector<std::uint8_t>& rgb = loop->view(view).photo->rgb;
+                        Image<std::uint8_t> twice{96, 72, 3, {}};
+                        for (int y = 0; y < 72; ++y)
+                          for (int x = 0; x < 96; ++x)
+                            for (int c = 0; c < 3; ++c) twice.pixels.push_back(rgb[3 * (y / 2 * 48 + x / 2) + c]);
+                        return twice;
+                      }};
+  pictures.set_marks({{"other", loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}});
+  larger.set_marks({{"other", loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}});
+  for (ViewPictures* of : {&pictures, &larger}) {
+    EXPECT_EQ(of->make(of_view(1)).width_px, 48) << "at first";
+    for (int turn = 0; turn < 3; ++turn) (void)of->refine(5);
+  }
+  EXPECT_GT(asked_px, 900);
+  const Picture small = pictures.make(of_view(1)), large = larger.make(of_view(1));
+  ASSERT_EQ(large.width_px, 96);
+  ASSERT_EQ(large.height_px, 72);
+  expect_whole(large, false, true, false);
+  ASSERT_EQ(large.seen.size(), small.seen.size());
+  ASSERT_FALSE(large.seen.empty());
+  EXPECT_NEAR(large.seen[0].points[0].x, 2 * small.seen[0].points[0].x, 1e-9);
+  int alike = 0;
+  for (int y = 0; y < 36; ++y)
+    for (int x = 0; x < 48; ++x) alike += large.label[2 * y * 96 + 2 * x] == small.label[y * 48 + x] ? 1 : 0;
+  EXPECT_GT(alike, 48 * 36 * 9 / 10);
+}
+
 TEST_F(LargeRoom, ClicksOfOtherViewsAreInPixelsOfThePicture) {
   std::vector<Annotations::Mark> marks;
   for (int y = 6; y < 108; y += 12)

@@ -767,16 +767,16 @@ TEST(Proposals, WithOneClassTheOpenSurfaceIsAskedFor) {
 TEST(Proposals, TheFirstQuestionsAreAboutWhatLooksUnlikeTheClicked) {
   Known known;
   std::vector<PoolPoint>& points = known.pool.points;
-  for (std::size_t i = 0; i < points.size(); ++i) points[i].color = i % 2 == 0 ? Vec3d{0.9, 0.2, 0.2} : Vec3d{};
+  for (std::size_t i = 0; i < points.size(); ++i) points[i].color = i % 2 == 1 ? Vec3d{0.9, 0.2, 0.2} : Vec3d{};
   for (PoolPoint& point : points) point.normal = {0, 0, 1};
-  known.click(0, 1);
+  known.click(0, 2);
   const auto red = [&](std::size_t clicks) {
     int found = 0;
     for (std::uint64_t round = 0; round < 40; ++round) {
       ProposalInput input = known.input(3, round);
       input.clicks = clicks;
       input.rules.reach = 1e-3F;  // a point by itself
-      found += choose_click(input)->point % 2 == 0;
+      found += choose_click(input)->point % 2 == 1;
     }
     return found;
   };
