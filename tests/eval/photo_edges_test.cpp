@@ -157,13 +157,17 @@ TEST(PhotoLabels, HaveNoSpecksButKeepSmallThingsThatAreSure) {
   Bytes rgb(3 * kWidth * kHeight, 128);
   TwoClasses known(kWidth, kHeight, 1, kWidth);
   const auto is_thing = [](int x, int y) { return x >= 60 && x < 66 && y >= 30 && y < 37; };
-  for (int y = 0; y < kHeight; ++y)
+  const auto is_doubtful = [](int x, int y) { return x >= 20 && x < 26 && y >= 30 && y < 37; };
+  for (int y = 0; y < kHeight; ++y) {
     for (int x = 0; x < kWidth; ++x) {
       const int i = y * kWidth + x;
-      const bool speck = (x * 7 + y * 13) % 97 == 0, thing = is_thing(x, y);
-      if (speck || thing) std::swap(known.rows[2 * i], known.rows[2 * i + 1]);
-      if (thing) known.rows[2 * i] = 0, known.rows[2 * i + 1] = 1, rgb[3 * i] = 255, rgb[3 * i + 1] = 0;
+      float* const row = &known.rows[2 * i];
+      if ((x * 7 + y * 13) % 97 == 0) std::swap(row[0], row[1]);
+      if (is_thing(x, y)) row[0] = 0, row[1] = 1;
+      if (is_doubtful(x, y)) row[0] = 0.35F, row[1] = 0.4F;
+      if (is_thing(x, y) || is_doubtful(x, y)) rgb[3 * i] = 255, rgb[3 * i + 1] = 0;
     }
+  }
   const PhotoLabels found = known.on(rgb, kWidth, kHeight);
   for (int i = 0; i < kWidth * kHeight; ++i)
     ASSERT_EQ(found.label[i], is_thing(i % kWidth, i / kWidth) ? 8 : 3) << i % kWidth << ", " << i / kWidth;
