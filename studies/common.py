@@ -49,7 +49,7 @@ def table(head, rows):
 
 
 def png_values(png):
-    """[H, W] of a grey or palette PNG of 8 or 16 bits a pixel whose rows are stored as they are, as semfield writes them."""
+    """[H, W] of a grey or palette PNG of 8 or 16 bits a pixel, not interlaced."""
     width, height, bits = struct.unpack_from(">IIB", png, 16)
     data, at = b"", 8
     while at < len(png):
@@ -57,9 +57,21 @@ def png_values(png):
         data += png[at + 8:at + 8 + size] if kind == b"IDAT" else b""
         at += size + 12
     rows = np.frombuffer(zlib.decompress(data), np.uint8).reshape(height, bits // 8 * width + 1)
-    if rows[:, 0].any():
-        sys.exit("a picture is no plain PNG")
-    return np.ascontiguousarray(rows[:, 1:]).view(f">u{bits // 8}").astype(np.int64)
+    pixels, step = rows[:, 1:].copy(), bits // 8
+    for y in np.flatnonzero(rows[:, 0]):
+        kind, row, above = rows[y, 0], pixels[y], pixels[y - 1] if y else np.zeros_like(pixels[y])
+        if kind == 1:
+            row[:] = np.cumsum(row.reshape(-1, step), axis=0, dtype=np.uint8).reshape(-1)
+        elif kind == 2:
+            row += above
+        else:
+            of_row, up = row.tolist(), above.tolist()
+            for i in range(len(of_row)):
+                a, b, c = (of_row[i - step], up[i], up[i - step]) if i >= step else (0, up[i], 0)
+                near = min((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c))[2]
+                of_row[i] = (of_row[i] + ((a + b) // 2 if kind == 3 else near)) % 256
+            row[:] = of_row
+    return np.ascontiguousarray(pixels).view(f">u{step}").astype(np.int64)
 
 
 def read(path):

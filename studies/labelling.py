@@ -73,6 +73,16 @@ class Page:
             sys.exit(f"labelling: training failed: {self.known['failure']}")
         return self.known
 
+    def wait_for_geometry(self, seconds):
+        """Of training, or all of it where that is shorter."""
+        step, since = -1, time.monotonic()
+        while not (run := self.state()["run"])["geometry_ready"] or run["train_s"] < seconds:
+            if run["step"] != step:
+                step, since = run["step"], time.monotonic()
+            if run["geometry_ready"] and time.monotonic() > since + 5:
+                return
+            time.sleep(0.2)
+
     def labels(self, view, client, full=False):
         """[H, W] index of the class, -1 for none."""
         data = self.request("/picture", {"client": client, "view": view, "labels": True, "full": full})
@@ -167,6 +177,7 @@ def main():
     p.add_argument("--clicks", type=int, default=180)
     p.add_argument("--geometry", type=float, default=30, help="seconds of training before the first click")
     p.add_argument("--device", default="auto")
+    p.add_argument("--segments", default="", help="what the page gets of a segmenter, as `semfield serve --segments`")
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = p.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the served run ends too
@@ -175,14 +186,13 @@ def main():
     rows = {}
     for question in options.questions.split(","):
         for seed in range(1, options.seeds + 1):
-            words = ["--device", options.device]
+            words = ["--device", options.device, *(["--segments", options.segments] if options.segments else [])]
             for setting in [*options.set, "scene.labels.frames=none", f"runtime.seed={seed}"]:
                 words += ["--set", setting]
             with tempfile.TemporaryDirectory() as folder:
                 page = Page(options.config, folder, words)
                 try:
-                    while not (run := page.state()["run"])["geometry_ready"] or run["train_s"] < options.geometry:
-                        time.sleep(0.2)
+                    page.wait_for_geometry(options.geometry)
                     found = course(page, truth, question, seed, options.clicks)
                     rows.setdefault(question, []).append(found)
                 finally:

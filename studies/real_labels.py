@@ -41,6 +41,7 @@ def main():
     p.add_argument("config", type=pathlib.Path, help="of a scene with labels of all frames, and held-out frames")
     p.add_argument("--out", type=pathlib.Path, required=True)
     p.add_argument("--ignore", default="", help="names of classes that are stuff, separated by commas")
+    p.add_argument("--instances", default="", help="as of studies/things.py")
     p.add_argument("--device", default="auto")
     p.add_argument("--seeds", type=int, default=3)
     p.add_argument("--steps", type=int, default=4000, help="of training, for each setting")
@@ -64,7 +65,7 @@ def main():
     asked = last_line([HERE / "labelling.py", options.config, "--questions", "surface", "--seeds", options.seeds, "--clicks",
                        options.clicks, *shared], options.out / "labelling.txt")
     things = last_line([HERE / "things.py", options.config, "--ignore", options.ignore, "--geometry", options.geometry,
-                        "--set", f"runtime.device={options.device}"], options.out / "things.txt")
+                        "--instances", options.instances, "--set", f"runtime.device={options.device}"], options.out / "things.txt")
     print(f"real_labels: all={pair('all', 'miou_present')} click={pair('click', 'miou_present')} "
           f"click_border={pair('click', 'border_miou')} p1={pair('1 %', 'miou_present')} "
           f"frames10={pair('10 % of the frames', 'miou_present')} clicks_to_06={asked.get('clicks_to_06', '-')} "

@@ -6,7 +6,7 @@
 A simulated person clicks the most interior point of an instance in a view, then up to twice the most interior point of
 the largest wrong region. IoU is that of the mask at the photograph's size; void pixels do not count. `wheel` is the best
 of the levels that two turns of the wheel reach after one click. Training continues meanwhile. Segments of the scene
-serve as truth alone: the page does not know them.
+serve as truth alone: the page knows those of --segments.
 """
 import argparse
 import json
@@ -33,10 +33,13 @@ def truths(run, options, words, folder):
     names = [frame.name for frame in run.frames]
     things = [c.id for c in run.classes if c.name not in options.ignore.split(",")]
     valid = [c.id for c in run.classes]
-    subprocess.run([program(), "-q", "pack", options.config, "--format", "replica", "--out", folder, *words], check=True)
+    if not options.instances:
+        subprocess.run([program(), "-q", "pack", options.config, "--format", "replica", "--out", folder, *words], check=True)
 
     def of(name):
-        file = pathlib.Path(folder, "semantic_instance", f"semantic_instance_{names.index(name)}.png")
+        file = pathlib.Path(options.instances, f"{name}.png")
+        if not options.instances:
+            file = pathlib.Path(folder, "semantic_instance", f"semantic_instance_{names.index(name)}.png")
         labels, instances = run.pixels(name).labels, png_values(file.read_bytes())
         return np.where(np.isin(labels, things), instances, np.where(np.isin(labels, valid), 0, -1))
     return of
@@ -123,6 +126,9 @@ def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("config", help="of a scene with labels and instances")
     p.add_argument("--ignore", default="", help="names of classes that are stuff, separated by commas")
+    p.add_argument("--instances", default="", help="folder of PNGs of numbers of things, by the names of frames (default: "
+                                                   "the scene's own, where its lens has no distortion)")
+    p.add_argument("--segments", default="", help="what the page gets of a segmenter, as `semfield serve --segments`")
     p.add_argument("--things", type=int, default=200, help="instances in views, spread over views")
     p.add_argument("--pixels", type=int, default=600, help="labelled ones that an instance has at least")
     p.add_argument("--geometry", type=float, default=60, help="seconds of training before the first click")
@@ -132,10 +138,10 @@ def main():
     words = [word for setting in options.set for word in ("--set", setting)]
     with tempfile.TemporaryDirectory() as folder, sf.open(options.config, settings(options.set)) as run:
         truth_of = truths(run, options, words, f"{folder}/truth")
-        page = Page(options.config, folder, [*words, "--set", "scene.labels.frames=none"])
+        segments = ["--segments", options.segments] if options.segments else []
+        page = Page(options.config, folder, [*words, *segments, "--set", "scene.labels.frames=none"])
         try:
-            while not (now := page.state()["run"])["geometry_ready"] or now["train_s"] < options.geometry:
-                time.sleep(0.2)
+            page.wait_for_geometry(options.geometry)
             cases = []
             for number, view in enumerate(page.state()["views"]):
                 if view["held_out"]:

@@ -20,6 +20,7 @@
 #include "scene/scene.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/shape/simplify.h"
+#include "surface/mesh/shape/smooth_borders.h"
 #include "surface/mesh/surface.h"
 #include "surface/objects/object_set.h"
 #include "train/run_folder.h"
@@ -60,22 +61,10 @@ class Stream {
   std::vector<std::uint8_t> bytes;
 };
 
-// The class of a triangle is that of its last corner, which a flat shader reads.
-Triangle class_last(const Surface& surface, Triangle t) {
-  if (!surface.attributes.has_labels()) return t;
-  const std::int16_t label = triangle_label(surface.attributes, t);
-  for (int turn = 0; turn < 2 && surface.attributes.label[t[2]] != label; ++turn)
-    std::rotate(t.begin(), t.begin() + 1, t.end());
-  return t;
-}
-
 std::vector<std::uint8_t> packed(const Surface& surface, const ScenePage& page, const Box& box) {
   Stream stream;
   std::vector<std::uint32_t> corners;
-  for (const Triangle& triangle : surface.triangles) {
-    const Triangle t = class_last(surface, triangle);
-    corners.insert(corners.end(), t.begin(), t.end());
-  }
+  for (const Triangle& t : surface.triangles) corners.insert(corners.end(), t.begin(), t.end());
   const std::size_t count = surface.positions.size();
   stream.differences<std::uint32_t>(corners.size(), [&](std::size_t i) { return corners[i]; });
   for (int axis = 0; axis < 3; ++axis) {
@@ -229,9 +218,18 @@ Json page_objects(const ObjectSet& objects, const ClassTable& classes) {
 }
 
 std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSet& objects) {
-  std::vector<std::uint16_t> ids;
-  for (const Vec3d& place : surface.positions) ids.push_back(static_cast<std::uint16_t>(objects.at(place)));
-  return ids;
+  std::vector<Vec3d> middle(surface.positions.size());
+  std::vector<double> triangles(middle.size());
+  for (const Triangle& t : surface.triangles) {
+    for (const std::uint32_t v : t) {
+      middle[v] = middle[v] + (surface.positions[t[0]] + surface.positions[t[1]] + surface.positions[t[2]]) * (1 / 3.0);
+      triangles[v] += 1;
+    }
+  }
+  for (std::size_t v = 0; v < middle.size(); ++v)
+    middle[v] = triangles[v] > 0 ? middle[v] * (1 / triangles[v]) : surface.positions[v];
+  const std::vector<std::int32_t> ids = objects.at(middle);
+  return {ids.begin(), ids.end()};
 }
 
 std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page) {
@@ -322,13 +320,27 @@ void find_in_density(RunSurface& found, const Session& s, const std::string& run
                         found.unseen, all));
 }
 
-void reduce(Surface& surface, std::size_t most, const SurfaceNews& news) {
+// At most so many faces, and smooth borders. Those are cut last, for a cut border has two sides that collapses would
+// pull apart; so what the cuts will add is taken away before.
+void finish(Surface& surface, std::optional<long long> faces, const ObjectSet* objects, const SurfaceNews& news) {
   const std::size_t before = surface.triangles.size();
-  simplify(surface, most);
-  const std::size_t left = surface.triangles.size();
-  if (left == before) return;
-  say(news, fmt::format("{} of {} faces are left{}", left, before,
-                        left > most ? ": fewer would tear the surface or turn faces over" : ""));
+  const auto most = static_cast<std::size_t>(faces.value_or(static_cast<long long>(before)));
+  for (std::size_t wanted = most;;) {
+    if (faces) simplify(surface, wanted);
+    Surface cut = surface;
+    if (objects != nullptr) cut.attributes.instance = objects->at(cut.positions);
+    smooth_borders(cut);
+    const std::size_t left = cut.triangles.size();
+    const bool is_least = surface.triangles.size() > wanted;
+    if (!faces || left <= most || is_least) {
+      surface = std::move(cut);
+      if (faces && left < before)
+        say(news, fmt::format("{} of {} faces are left{}", left, before,
+                              left > most ? ": fewer would tear the surface or turn faces over" : ""));
+      return;
+    }
+    wanted = std::min(wanted - 1, wanted * most / left);
+  }
 }
 
 }  // namespace
@@ -356,7 +368,7 @@ std::string surface_source(const SurfaceWishes& wishes, const Session& session) 
 }
 
 RunSurface make_run_surface(const Session& session, const std::string& run_dir, const SurfaceWishes& wishes,
-                            std::span<const DepthView> sensor, const SurfaceNews& news) {
+                            std::span<const DepthView> sensor, const ObjectSet* objects, const SurfaceNews& news) {
   RunSurface found;
   found.source = surface_source(wishes, session);
   found.grid = grid_of(wishes, session.extent.bounds, found.source == "density");
@@ -387,7 +399,7 @@ RunSurface make_run_surface(const Session& session, const std::string& run_dir, 
   surface.attributes =
       render_attributes(*session.pipeline, surface, {cameras, sights}, kOffsetCells * found.grid.spacing,
                         session.limits, session.plan.class_of_logit);
-  if (wishes.faces) reduce(surface, static_cast<std::size_t>(*wishes.faces), news);
+  finish(surface, wishes.faces, objects, news);
   return found;
 }
 
@@ -408,8 +420,10 @@ std::string report_scene(const Session& session, const std::string& run_dir, std
   wishes.resolution = kCells;
   wishes.depth_rays = rays;
   try {
-    const RunSurface found = make_run_surface(session, run_dir, wishes, {}, {});
-    return scene_page_text(found.surface, session.scene.info.classes, scene_page_of(session, run_dir, step));
+    const ScenePage page = scene_page_of(session, run_dir, step);
+    const ObjectSet* const objects = page.objects ? &*page.objects : nullptr;
+    const RunSurface found = make_run_surface(session, run_dir, wishes, {}, objects, {});
+    return scene_page_text(found.surface, session.scene.info.classes, page);
   } catch (const Error& e) {
     if (e.kind() != ErrorKind::data && e.kind() != ErrorKind::no_input) throw;
     print_note(context, "no view in 3D in the report: " + e.message());

@@ -53,7 +53,7 @@ std::pair<std::string, std::string> scene_parts(const Surface& surface, const Cl
                                                 const ScenePage& page, const Json& more);
 /// Rows of the objects as the page reads them.
 Json page_objects(const ObjectSet& objects, const ClassTable& classes);
-/// The object of each vertex, 16 bits each.
+/// The object of each vertex, 16 bits each: that of a place in its triangles, since a vertex on a border has two.
 std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSet& objects);
 
 /// How a surface is made. What has no value is chosen by the scene.
@@ -92,10 +92,11 @@ std::string surface_source(const SurfaceWishes& wishes, const Session& session);
 /// The cameras of the training frames.
 std::vector<RayCamera> training_cameras(const Session& session);
 
-/// `sensor`: depth images of the training frames, read for that source alone. `run_dir` stands in messages. Throws
+/// `sensor`: depth images of the training frames, read for that source alone. `objects`: whose ids vertices get, and
+/// whose borders are smooth as those of classes are; null: there are none. `run_dir` stands in messages. Throws
 /// Error(data) where there is no surface.
 RunSurface make_run_surface(const Session& session, const std::string& run_dir, const SurfaceWishes& wishes,
-                            std::span<const DepthView> sensor, const SurfaceNews& news);
+                            std::span<const DepthView> sensor, const ObjectSet* objects, const SurfaceNews& news);
 
 /// The axis of the world that is upright, as the cameras of the training frames stand; none: they do not tell.
 std::optional<Vec3d> upright_of(const Session& session);

@@ -29,9 +29,18 @@ namespace semfield::app {
 namespace {
 
 struct ServeOptions : PageVerbOptions {
-  explicit ServeOptions(const Declaration& at) : PageVerbOptions(at) { device(set); }
+  explicit ServeOptions(const Declaration& at) : PageVerbOptions(at) {
+    device(set);
+    needs("--pattern", "--segments");
+  }
   const std::string& what = operand("config_or_run", "configuration file, or a run folder to continue");
   const std::string& out = value("--out FOLDER", "run folder to create (default: runs/<name>)");
+  const std::string& segments = value(
+      "--segments PATH",
+      "what a segmenter saw in the training images, whose borders labels keep to: a folder of PNGs, JSON or NumPy "
+      "masks, or a COCO file");
+  const std::string& pattern =
+      value("--pattern NAME", "how files of that folder are named, with {name}, {stem} or {number} of the frame");
   std::vector<std::string>& set = run_settings();
 };
 
@@ -117,10 +126,13 @@ int run(const ServeOptions& options, AppContext& context) {
   context.adopt(target.config);
   install_stop_signals(!context.quiet);
   install_save_signal();
-  const std::string go_on = "semfield serve " + shell_word(target.run_dir);
+  const std::string segments = (options.segments.empty() ? "" : " --segments " + shell_word(options.segments)) +
+                               (options.pattern.empty() ? "" : " --pattern " + shell_word(options.pattern));
+  const std::string go_on = "semfield serve " + shell_word(target.run_dir) + segments;
   stop_waits(false, "stopped before the page was there");
   Told told(context);
-  LabelSession session(std::move(target.config), context.registry, {target.run_dir}, &told);
+  LabelSession session(std::move(target.config), context.registry,
+                       {.run_dir = target.run_dir, .segments = options.segments, .pattern = options.pattern}, &told);
   stop_waits(true);
   if (const int room = session.state()->room; room > kMostPageClasses)
     throw Error(ErrorKind::data, "serve.classes.limit",
@@ -149,7 +161,7 @@ int run(const ServeOptions& options, AppContext& context) {
   const std::shared_ptr<const LabelState> state = session.state();
   print_note(context, fmt::format("stopped at step {} with {} labels, all saved", state->step, state->marks.size()));
   const std::string word = shell_word(session.run_dir());
-  print_next(context, {{"serve " + word, "continues to label"},
+  print_next(context, {{"serve " + word + segments, "continues to label"},
                        {"train --resume " + word + " --time 5m", "trains on with these labels"}});
   return 128 + stop_signal();
 }

@@ -17,12 +17,12 @@
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"
-#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/small_math.h"
 #include "core/text.h"
 #include "eval/image_output.h"
+#include "labels/segments.h"
 #include "scene/camera_rig.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/point_files.h"
@@ -32,7 +32,6 @@
 #include "surface/objects/find_objects.h"
 #include "surface/objects/object_score.h"
 #include "surface/objects/object_set.h"
-#include "surface/objects/segments.h"
 #include "train/opened_run.h"
 
 namespace semfield::app {
@@ -222,15 +221,7 @@ class HandOver {
     band_of(options, metre_);  // before any work
   }
 
-  /// Ids of objects at the points; empty without objects.
-  std::vector<std::int32_t> instances(std::span<const Vec3d> points) const {
-    if (!objects_) return {};
-    std::vector<std::int32_t> ids(points.size());
-    parallel_for(std::ssize(points), [&](std::int64_t i) {
-      ids[static_cast<std::size_t>(i)] = objects_->at(points[static_cast<std::size_t>(i)]);
-    });
-    return ids;
-  }
+  const ObjectSet* object_set() const { return objects_ ? &*objects_ : nullptr; }
 
   /// Names of the objects by their ids.
   std::map<std::int32_t, std::string> objects() const {
@@ -272,7 +263,7 @@ class HandOver {
       if (map_) map_->add(camera, frame, pixels);
     }
     points_ = cloud.points();
-    points_.attributes.instance = instances(points_.positions);
+    if (objects_) points_.attributes.instance = objects_->at(points_.positions);
   }
 
   const PointSet& points() const { return points_; }  ///< empty unless --points or a form asks for them
@@ -453,13 +444,14 @@ MeshScores scores_of(const MeshOptions& options, const RunSurface& found, const 
 }
 
 // Throws Error(data) where there is no surface, or nothing of it is seen.
-FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const AppContext& context) {
+FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const ObjectSet* objects,
+                          const AppContext& context) {
   const Session& s = run.session;
   const bool of_sensor = surface_source(options.surface(), s) == "sensor";
   MeasuredDepth measured;
   if (options.score || of_sensor) measured = measured_depth(run.session, options.run, of_sensor);
   ProgressLine progress(context, "depth of", "views");
-  FoundSurface found{make_run_surface(s, options.run, options.surface(), measured.training,
+  FoundSurface found{make_run_surface(s, options.run, options.surface(), measured.training, objects,
                                       {[&](const std::string& note) { print_note(context, note); },
                                        [&](double done, double of) { progress.show(done, of); }}),
                      {}};
@@ -528,10 +520,7 @@ int run(const MeshOptions& options, AppContext& context) {
   HandOver out(options, targets, run, upright ? up : found_up.known, context);
   create_output_folder(targets.stem.parent_path());
   FoundSurface found;
-  if (wants_surface) {
-    found = find_surface(options, run, context);
-    found.surface.attributes.instance = out.instances(found.surface.positions);
-  }
+  if (wants_surface) found = find_surface(options, run, out.object_set(), context);
   out.look();
   if (upright && !found_up.note.empty()) print_note(context, found_up.note);
   if (targets.writes("html")) {  // has both colourings

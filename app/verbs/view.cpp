@@ -31,6 +31,7 @@
 #include "core/non_copyable.h"
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
+#include "eval/photo_edges.h"
 #include "eval/report/report.h"
 #include "train/opened_run.h"
 #include "train/run_folder.h"
@@ -113,8 +114,12 @@ class ViewedRun {
                   "train with labels");
     FrameOptions options;
     options.color = wanted.map != "entropy" && wanted.map != "depth";
+    options.probability = wanted.map == "class";
+    options.classes = run_.session.classes();
     const RayCamera camera = wanted.camera.rays(wanted.width_px, wanted.height_px);
-    std::vector<std::uint8_t> rgb;
+    RenderedFrame whole;
+    whole.width_px = wanted.width_px;
+    whole.height_px = wanted.height_px;
     const std::int64_t rows_at_once = std::max<std::int64_t>(1, kBandRays / wanted.width_px);
     for (std::int32_t row = 0; row < wanted.height_px; row += static_cast<std::int32_t>(rows_at_once)) {
       if (abandoned()) return {};
@@ -127,9 +132,15 @@ class ViewedRun {
         frame = render_frame(*run_.session.pipeline, band, run_.session.limits, run_.session.plan.class_of_logit, {},
                              options);
       }
-      paint(wanted, band, frame, rgb);
+      const auto add = [](auto& to, const auto& part) { to.insert(to.end(), part.begin(), part.end()); };
+      add(whole.rgb, frame.rgb);
+      add(whole.depth_m, frame.depth_m);
+      add(whole.opacity, frame.opacity);
+      add(whole.label, frame.label);
+      add(whole.entropy, frame.entropy);
+      add(whole.probability, frame.probability);
     }
-    return encode_jpeg(wanted.width_px, wanted.height_px, rgb, kQuality);
+    return encode_jpeg(wanted.width_px, wanted.height_px, painted(wanted, camera, whole), kQuality);
   }
 
   // {"classes": [{"name", "probability"}, ...] the most probable first, "object": name or null}.
@@ -234,8 +245,12 @@ class ViewedRun {
       turn.let_others();
     };
     RunSurface made;
+    const std::optional<ObjectSet> objects = [&] {
+      const std::scoped_lock lock(page_lock_);
+      return page_.objects;
+    }();
     try {
-      made = make_run_surface(run_.session, run_.run_dir, wishes, {}, news);
+      made = make_run_surface(run_.session, run_.run_dir, wishes, {}, objects ? &*objects : nullptr, news);
     } catch (const Error& e) {
       if (e.kind() != ErrorKind::data) throw;
       const std::scoped_lock lock(page_lock_);
@@ -245,36 +260,65 @@ class ViewedRun {
     return surface_[which];
   }
 
-  void paint(const ViewPicture& wanted, const RayCamera& band, const RenderedFrame& frame,
-             std::vector<std::uint8_t>& rgb) const {
-    const auto add = [&](const std::vector<std::uint8_t>& part) { rgb.insert(rgb.end(), part.begin(), part.end()); };
-    const std::size_t pixels = frame.opacity.size();
-    if (wanted.map == "photo") return add(to_bytes(frame.rgb));
-    if (wanted.map == "depth") return add(depth_colors(frame.depth_m, wanted.depths_m[0], wanted.depths_m[1]));
-    if (wanted.map == "entropy")
-      return add(entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size())));
-    // Classes and objects keep the light of the picture, so that a form is seen.
-    const std::vector<std::uint8_t> of_class = wanted.map == "class"
-                                                   ? label_colors(frame.label, run_.session.scene.info.classes)
-                                                   : std::vector<std::uint8_t>();
-    const std::scoped_lock lock(page_lock_);
-    const auto width = static_cast<std::size_t>(frame.width_px);
-    for (std::size_t i = 0; i < pixels; ++i) {
-      const double light = 0.3 * static_cast<double>(frame.rgb[3 * i]) +
-                           0.6 * static_cast<double>(frame.rgb[3 * i + 1]) +
-                           0.1 * static_cast<double>(frame.rgb[3 * i + 2]);
-      std::array<double, 3> color{0.35 * 255 * light + 30, 0.35 * 255 * light + 30, 0.35 * 255 * light + 30};
-      if (!of_class.empty())
-        for (std::size_t k = 0; k < 3; ++k) color[k] = of_class[3 * i + k] * (0.55 + 0.45 * light);
-      if (of_class.empty() && page_.objects && frame.opacity[i] >= kSurfaceOpacity) {
-        const double z = static_cast<double>(frame.depth_m[i] / frame.opacity[i]);
-        const Vec3d ray{(static_cast<double>(i % width) + 0.5 - band.camera.cx) / band.camera.fx,
-                        (static_cast<double>(i / width) + 0.5 - band.camera.cy) / band.camera.fy, 1};
-        if (const std::int32_t id = page_.objects->at(band.world_from_camera.apply(ray * z)); id > 0)
-          for (std::size_t k = 0; k < 3; ++k) color[k] = ClassTable::default_color(id)[k] * (0.55 + 0.45 * light);
-      }
-      for (const double value : color) rgb.push_back(static_cast<std::uint8_t>(std::lround(std::min(value, 255.0))));
+  // Object of each pixel, with borders along the edges of the picture as those of classes have.
+  std::vector<std::int16_t> objects_seen(const RayCamera& camera, const RenderedFrame& frame,
+                                         std::span<const std::uint8_t> rgb) const {
+    constexpr double kMostShares = 1.6e7;
+    std::vector<Vec3d> places(frame.opacity.size());
+    for (std::size_t i = 0; i < places.size(); ++i) {
+      const PixelPlace at = strided_place(static_cast<std::int64_t>(i), frame.width_px, 1);
+      const double z = frame.opacity[i] < kSurfaceOpacity ? NAN : double{frame.depth_m[i] / frame.opacity[i]};
+      places[i] = camera.world_from_camera.apply(Vec3d{(at.column + 0.5 - camera.camera.cx) / camera.camera.fx,
+                                                       (at.row + 0.5 - camera.camera.cy) / camera.camera.fy, 1} *
+                                                 z);
     }
+    std::vector<std::int32_t> ids(places.size(), 0);
+    {
+      const std::scoped_lock lock(page_lock_);
+      if (page_.objects) ids = page_.objects->at(places);
+    }
+    std::vector<std::int16_t> known(ids.begin(), ids.end());
+    std::sort(known.begin(), known.end());
+    known.erase(std::unique(known.begin(), known.end()), known.end());
+    const std::size_t columns = known.size();
+    const auto stride = static_cast<std::int32_t>(
+        std::ceil(std::sqrt(static_cast<double>(ids.size()) * static_cast<double>(columns) / kMostShares)));
+    ClassEvidence evidence{stride, strided_px(frame.width_px, stride), strided_px(frame.height_px, stride), {}, known};
+    std::vector<float> share(static_cast<std::size_t>(std::int64_t{evidence.width_px} * evidence.height_px) * columns);
+    for (std::size_t i = 0; i * columns < share.size(); ++i) {
+      const PixelPlace at = strided_place(static_cast<std::int64_t>(i), evidence.width_px, stride);
+      const std::int32_t id = ids[static_cast<std::size_t>(std::int64_t{at.row} * frame.width_px + at.column)];
+      share[i * columns + static_cast<std::size_t>(std::lower_bound(known.begin(), known.end(), id) - known.begin())] =
+          1;
+    }
+    evidence.probability = share;
+    return labels_on_photo(evidence, rgb, frame.width_px, frame.height_px).label;
+  }
+
+  std::vector<std::uint8_t> painted(const ViewPicture& wanted, const RayCamera& camera,
+                                    const RenderedFrame& frame) const {
+    if (wanted.map == "photo") return to_bytes(frame.rgb);
+    if (wanted.map == "depth") return depth_colors(frame.depth_m, wanted.depths_m[0], wanted.depths_m[1]);
+    if (wanted.map == "entropy")
+      return entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size()));
+    const std::vector<std::uint8_t> rgb = to_bytes(frame.rgb);
+    const bool by_class = wanted.map == "class";
+    const std::vector<std::int16_t> shown =
+        by_class ? labels_on_photo(frame, run_.session.classes(), rgb, frame.width_px, frame.height_px).label
+                 : objects_seen(camera, frame, rgb);
+    const std::vector<std::uint8_t> of_class =
+        by_class ? label_colors(shown, run_.session.scene.info.classes) : std::vector<std::uint8_t>();
+    // Classes and objects keep the light of the picture, so that a form is seen.
+    std::vector<std::uint8_t> out(rgb.size());
+    for (std::size_t i = 0; i < out.size(); ++i) {
+      const float* const pixel = &frame.rgb[i - i % 3];
+      const double light = static_cast<double>(0.3F * pixel[0] + 0.6F * pixel[1] + 0.1F * pixel[2]);
+      double value = 0.35 * 255 * light + 30;
+      if (by_class) value = of_class[i] * (0.55 + 0.45 * light);
+      if (!by_class && shown[i / 3] > 0) value = ClassTable::default_color(shown[i / 3])[i % 3] * (0.55 + 0.45 * light);
+      out[i] = static_cast<std::uint8_t>(std::lround(std::min(value, 255.0)));
+    }
+    return out;
   }
 
   OpenedRun run_;

@@ -20,6 +20,7 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/joined_sets.h"
+#include "labels/segments.h"
 
 namespace semfield {
 
@@ -229,10 +230,21 @@ std::vector<CellPair> SurfaceCells::neighbours() const {
 
 namespace {
 
-float step_cost(const PoolPoint& a, const PoolPoint& b, double cell_m, const SurfaceGraphRules& rules) {
+std::uint64_t key_of_points(std::int32_t a, std::int32_t b) {
+  return static_cast<std::uint64_t>(std::min(a, b)) << 32 | static_cast<std::uint32_t>(std::max(a, b));
+}
+
+float step_cost(const SurfacePool& pool, const CellPair& pair, const SurfaceGraphRules& rules) {
+  const PoolPoint& a = pool.points[static_cast<std::size_t>(pair.a)];
+  const PoolPoint& b = pool.points[static_cast<std::size_t>(pair.b)];
   const PointDifference apart = difference(a, b, rules.color_sigma, rules.normal_sigma);
-  return static_cast<float>(rules.way * length(a.position - b.position) / cell_m + std::min(rules.most, apart.color) +
-                            std::min(rules.most, apart.normal));
+  double seen = std::min(rules.most, apart.color) + std::min(rules.most, apart.normal);
+  if (const auto said = pool.segment_steps.find(key_of_points(pair.a, pair.b)); said != pool.segment_steps.end()) {
+    const auto [within, across] = said->second;
+    const double share = static_cast<double>(across) / (within + across);
+    seen = seen * (share + (1 - share) * rules.within_segment) + share * rules.segment_border;
+  }
+  return static_cast<float>(rules.way * length(a.position - b.position) / pool.cell_m() + seen);
 }
 
 }  // namespace
@@ -247,7 +259,7 @@ SurfaceGraph::SurfaceGraph(const SurfacePool& pool, const SurfaceGraphRules& rul
   edges_.resize(2 * pairs.size());
   for (const CellPair& pair : pairs) {
     const auto a = static_cast<std::size_t>(pair.a), b = static_cast<std::size_t>(pair.b);
-    const float cost = step_cost(pool.points[a], pool.points[b], pool.cell_m(), rules);
+    const float cost = step_cost(pool, pair, rules);
     edges_[static_cast<std::size_t>(next[a]++)] = {pair.b, cost};
     edges_[static_cast<std::size_t>(next[b]++)] = {pair.a, cost};
   }
@@ -476,6 +488,26 @@ void SurfacePool::finish() {
   }
 }
 
+void SurfacePool::count_segments(std::size_t number, const PoolView& view) {
+  if (view.segments == nullptr) return;
+  const std::vector<std::int32_t>& of_pixel = point_of_pixel[number];
+  const auto segment_at = [&](std::size_t i) {
+    const PixelPlace at = strided_place(static_cast<std::int64_t>(i), view.map.width_px, view.map.stride);
+    return view.segments->at(at.column, at.row, view.photo->width_px, view.photo->height_px);
+  };
+  const auto width = static_cast<std::size_t>(view.map.width_px);
+  for (std::size_t i = 0; i < of_pixel.size(); ++i) {
+    for (const std::size_t next : {i + 1, i + width}) {
+      if (next >= of_pixel.size() || (next == i + 1 && next % width == 0)) continue;
+      if (of_pixel[i] < 0 || of_pixel[next] < 0 || of_pixel[i] == of_pixel[next]) continue;
+      const std::int32_t here = segment_at(i), there = segment_at(next);
+      if (here == 0 && there == 0) continue;
+      SegmentSteps& steps = segment_steps[key_of_points(of_pixel[i], of_pixel[next])];
+      ++(here == there ? steps.within : steps.across);
+    }
+  }
+}
+
 SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& limits, std::int64_t wanted) {
   std::vector<SeenSurface> seen(views.size());
   parallel_for(std::ssize(views), [&](std::int64_t v) {
@@ -499,6 +531,7 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
   }
   for (std::size_t v = 0; v < views.size(); ++v)
     if (!views[v].map.empty()) pool.gather(v, seen[v], *views[v].photo, views[v].map.stride);
+  for (std::size_t v = 0; v < views.size(); ++v) pool.count_segments(v, views[v]);
   pool.finish();
   return pool;
 }

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <span>
+#include <unordered_map>
 #include <vector>
 
 #include "core/small_math.h"
@@ -14,6 +15,8 @@
 #include "scene/scene.h"
 
 namespace semfield {
+
+struct FrameSegments;
 
 /// Camera, pose and z-depth of a view.
 struct PosedDepth {
@@ -156,8 +159,9 @@ Vec3d point_at(const RayCamera& camera, const RayLimits& limits, const PixelPlac
 struct PoolView {
   int frame = 0;  ///< in SceneInfo::frames
   RayCamera camera;
-  const StoredFrame* photo = nullptr;  ///< borrowed
-  SurfaceMap map;                      ///< empty: not seen yet
+  const StoredFrame* photo = nullptr;       ///< borrowed
+  SurfaceMap map;                           ///< empty: not seen yet
+  const FrameSegments* segments = nullptr;  ///< borrowed; null: nobody has segmented its image
 };
 
 /// What the view's map shows.
@@ -192,6 +196,13 @@ struct SurfacePool {
   /// Of each view: the point that stands for each pixel of its map, -1 where it sees nothing.
   std::vector<std::vector<std::int32_t>> point_of_pixel;
 
+  /// What segments of views say of two points, the lower number in the upper half of the key: how often neighbouring
+  /// pixels of theirs are of one segment, and of two.
+  struct SegmentSteps {
+    std::int32_t within = 0, across = 0;
+  };
+  std::unordered_map<std::uint64_t, SegmentSteps> segment_steps;
+
   double cell_m() const { return cells.edge_m(); }  ///< 0 without cells
   /// `stride`: of the pixels that `seen` has, in `photo`.
   void add(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
@@ -202,16 +213,20 @@ struct SurfacePool {
   void number(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride);
   void gather(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride);
   void finish();
+  /// Behind number(): what the segments of a view, if there are any, say of its points.
+  void count_segments(std::size_t number, const PoolView& view);
 };
 
 /// Of some `wanted` points; the cells are sized for that. The same for the same maps.
 SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& limits, std::int64_t wanted);
 
 struct SurfaceGraphRules {
-  double way = 0.08;           ///< cost of a way of one cell
-  double color_sigma = 0.1;    ///< a step of this much colour (0 to 1) costs 1/2, four times as much 8
-  double normal_sigma = 0.35;  ///< likewise of the difference of unit normals
-  double most = 6;             ///< of each of the two
+  double way = 0.08;            ///< cost of a way of one cell
+  double color_sigma = 0.1;     ///< a step of this much colour (0 to 1) costs 1/2, four times as much 8
+  double normal_sigma = 0.35;   ///< likewise of the difference of unit normals
+  double most = 6;              ///< of each of the two
+  double segment_border = 4;    ///< of a step that always leaves a segment
+  double within_segment = 0.2;  ///< steps of colour and bends count so much in a segment
 };
 
 /// A point that somebody has named.

@@ -41,6 +41,7 @@ struct ThingWeights {
   double jump = 0.766, share = -2.517, rim = -15.891, filled = 7.147, outline = 2.213, stays = 0.682, inside = 24.652;
 };
 constexpr BorderWeights kBorderOdds;
+constexpr double kSegmentOdds = 5;  // of a border that segments share all along; far more than what pixels say
 constexpr ThingWeights kThingOdds;
 constexpr double kLowest = -4, kHighest = 6;  // of log odds that are compared
 constexpr double kLeastThing = 3240;          // a thing is at least the picture's pixels by this large
@@ -96,7 +97,15 @@ struct ThingTree::Pixel {
   Vec3d color;
   Vec3d place, normal;
   double distance = 0;  // 0: nothing is known
+  std::int32_t segment = 0;
 };
+
+void ThingTree::Border::add(const Border& other) {
+  length += other.length;
+  step += other.step;
+  clear += other.clear;
+  segments += other.segments;
+}
 
 std::vector<ThingTree::Pixel> ThingTree::pixels_of(const ThingPicture& picture) const {
   std::vector<Pixel> out(leaf_.size());
@@ -120,6 +129,8 @@ std::vector<ThingTree::Pixel> ThingTree::pixels_of(const ThingPicture& picture) 
         }
       }
       pixel.color = pixel.color * (1 / (255 * total));
+      if (!picture.segment.empty())
+        pixel.segment = picture.segment[static_cast<std::size_t>(std::int64_t{y} * width_px_ + x)];
       if (seen == nullptr) continue;
       const std::int64_t column = std::int64_t{x} * seen->width_px / width_px_,
                          row = std::int64_t{y} * seen->height_px / height_px_;
@@ -139,6 +150,7 @@ void ThingTree::find_regions(const std::vector<Pixel>& pixels) {
     float weight;
   };
   const auto weight_of = [](const Pixel& a, const Pixel& b) {
+    if (a.segment != b.segment) return static_cast<float>(kMostWeight);
     double weight = steps_of_color(a.color, b.color);
     if (a.distance > 0 && b.distance > 0) {
       const double jump = std::abs(a.distance - b.distance) / std::min(a.distance, b.distance);
@@ -239,6 +251,8 @@ std::vector<ThingTree::Pair> ThingTree::find_borders(const std::vector<Pixel>& p
     border.length += 1;
     border.step += step;
     border.clear += step > kClearColor || gap > kClearGap ? 1 : 0;
+    const std::int32_t here = pixels[at(x, y)].segment, there = pixels[at(x + dx, y + dy)].segment;
+    border.segments += here != there ? 1 : here != 0 ? -1 : 0;
   };
   for (std::int32_t y = 0; y < height_px_; ++y) {
     for (std::int32_t x = 0; x < width_px_; ++x) {
@@ -271,7 +285,7 @@ double ThingTree::cost_of(const Region& a, const Region& b, const Border& border
          kBorderOdds.smaller * (std::log(smaller / static_cast<double>(leaf_.size())) / 5 + 1) +
          kBorderOdds.shared * std::min(2.0, border.length / (4 * std::sqrt(smaller))) +
          kBorderOdds.root_color * std::sqrt(most_color) + kBorderOdds.root_step * std::sqrt(step) +
-         kBorderOdds.clear * border.clear / border.length;
+         kBorderOdds.clear * border.clear / border.length + kSegmentOdds * border.segments / border.length;
 }
 
 void ThingTree::join(std::vector<Pair> pairs) {
@@ -329,10 +343,7 @@ void ThingTree::join(std::vector<Pair> pairs) {
           continue;
         }
         Border& kept = pairs[static_cast<std::size_t>(around[static_cast<std::size_t>(place)].pair)].border;
-        const Border& more = pairs[static_cast<std::size_t>(touch.pair)].border;
-        kept.length += more.length;
-        kept.step += more.step;
-        kept.clear += more.clear;
+        kept.add(pairs[static_cast<std::size_t>(touch.pair)].border);
       }
       touching[static_cast<std::size_t>(part)] = {};
     }
@@ -369,6 +380,7 @@ ThingTree::ThingTree(const ThingPicture& picture)
     : width_px_(picture.width_px), height_px_(picture.height_px), reach_px_(picture.width_px >= kSharpWidth ? 2 : 1) {
   leaf_.resize(static_cast<std::size_t>(std::int64_t{width_px_} * height_px_));
   SEMFIELD_CHECK(!leaf_.empty() && picture.rgb.size() == 3 * leaf_.size(), "a picture's colours match its size");
+  SEMFIELD_CHECK(picture.segment.empty() || picture.segment.size() == leaf_.size(), "segments match its size");
   const std::vector<Pixel> pixels = pixels_of(picture);
   find_regions(pixels);
   join(find_borders(pixels));

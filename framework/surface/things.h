@@ -16,6 +16,8 @@ struct ThingPicture {
   std::int32_t width_px = 0, height_px = 0;
   std::span<const std::uint8_t> rgb;     ///< [height * width * 3]
   const SeenSurface* surface = nullptr;  ///< over the same field of view, of any size; null: colours alone say all
+  /// [height * width] what a segmenter saw, 0 where it saw nothing; empty without one. Where two meet is a border.
+  std::span<const std::int32_t> segment = {};
 };
 
 /// Pixels that are one thing.
@@ -52,6 +54,8 @@ class ThingTree {
   // Sums over pairs of pixels on both sides.
   struct Border {
     double length = 0, step = 0, clear = 0;  // clear: pairs of which anybody would say that they are apart
+    double segments = 0;                     // pairs in two segments less those in one
+    void add(const Border& other);
   };
   struct Node {
     Region region;

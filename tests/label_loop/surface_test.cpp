@@ -238,6 +238,19 @@ TEST(SurfaceGraph, WaysAreDearerAcrossStepsOfColourAndBends) {
   EXPECT_NEAR(cost_across(wall), way + 2 * SurfaceGraphRules().most, 1e-4);
 }
 
+TEST(SurfaceGraph, SegmentsPartWhatLooksAlikeAndJoinWhatDoesNot) {
+  SurfacePool pool = row_of_cells();
+  const float way = cost_across(pool);
+  const SurfaceGraphRules rules;
+  const std::uint64_t key = std::uint64_t{3} << 32 | 4;
+  pool.segment_steps[key] = {.within = 1, .across = 3};
+  EXPECT_NEAR(cost_across(pool), way + 0.75 * rules.segment_border, 1e-5);
+  for (std::size_t i = 4; i < 9; ++i) pool.points[i].color.y = 0.2;  // costs 2
+  EXPECT_NEAR(cost_across(pool), way + 0.75 * rules.segment_border + 2 * (0.75 + 0.25 * rules.within_segment), 1e-4);
+  pool.segment_steps[key] = {.within = 5, .across = 0};
+  EXPECT_NEAR(cost_across(pool), way + 2 * rules.within_segment, 1e-4);
+}
+
 TEST(SurfaceGraph, APlaceIsThatOfItsCellOrOfOneBesideIt) {
   const SurfacePool pool = row_of_cells();
   const SurfaceCells& cells = pool.cells;
@@ -299,6 +312,36 @@ TEST(SurfacePool, PointsLieOnTheSurfaceThatTheirPixelsShow) {
   }
   EXPECT_GT(with_normal, pool.points.size() / 2);
   EXPECT_GT(turned, with_normal * 85 / 100) << "normals are the surface's, towards the cameras";
+}
+
+// Of one view the right half is another segment: steps across lie on that line alone, each between two pixels.
+TEST(SurfacePool, CountsWhatSegmentsSayOfNeighbours) {
+  SeenRoom room;
+  const StoredFrame& photo = *room.views[0].photo;
+  FrameSegments halves{photo.width_px, photo.height_px, {}, {}};
+  for (std::int32_t y = 0; y < photo.height_px; ++y)
+    for (std::int32_t x = 0; x < photo.width_px; ++x) halves.id.push_back(2 * x < photo.width_px ? 5 : 9);
+  room.views[0].segments = &halves;
+  const SurfacePool pool = make_surface_pool(room.views, room_limits(), 1000);
+  const SurfaceMap& map = room.views[0].map;
+  std::int64_t within = 0, across = 0, expected_within = 0, expected_across = 0;
+  for (const auto& [key, steps] : pool.segment_steps) {
+    EXPECT_LT(key >> 32, key & 0xFFFFFFFF);
+    within += steps.within;
+    across += steps.across;
+  }
+  for (std::int32_t y = 0; y < map.height_px; ++y) {
+    for (std::int32_t x = 0; x < map.width_px; ++x) {
+      const auto point = [&](std::int32_t u, std::int32_t v) { return pool.point_of_pixel[0][v * map.width_px + u]; };
+      const auto right = [&](std::int32_t u) { return 2 * (u * map.stride + map.stride / 2) >= photo.width_px; };
+      if (x + 1 < map.width_px && point(x, y) != point(x + 1, y))
+        ++(right(x) == right(x + 1) ? expected_within : expected_across);
+      if (y + 1 < map.height_px && point(x, y) != point(x, y + 1)) ++expected_within;
+    }
+  }
+  EXPECT_GT(across, map.height_px / 2);
+  EXPECT_EQ(across, expected_across);
+  EXPECT_EQ(within, expected_within);
 }
 
 // Beside a step of depth no point is proposed: a click there may land on either side.

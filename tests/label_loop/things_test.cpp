@@ -37,8 +37,8 @@ struct Boxes {
     }
     surface = seen_surface(std::move(place), kWidth, {});
   }
-  ThingTree tree(bool with_surface = true) const {
-    return ThingTree({kWidth, kHeight, rgb, with_surface ? &surface : nullptr});
+  ThingTree tree(bool with_surface = true, std::span<const std::int32_t> segment = {}) const {
+    return ThingTree({kWidth, kHeight, rgb, with_surface ? &surface : nullptr, segment});
   }
 };
 
@@ -105,6 +105,24 @@ TEST(Things, OtherPlacesAddAndTakeAway) {
   EXPECT_EQ(overlap(choose(tree, {{42, 50}, {67, 50}}, {{70, 40}}), 30, 30, 55, 70), 1);
   // A place that is part of it and one that is not, in one region: the later kind has the region.
   EXPECT_EQ(choose(tree, {{42, 50}}, {{42, 50}}).share, 0);
+}
+
+// Segments of another program part what looks alike, join what does not, and leave the rest to the picture.
+TEST(Things, KeepToTheBordersOfSegments) {
+  std::vector<std::int32_t> segment(kWidth * kHeight, 0);
+  for (std::int32_t y = 30; y < 70; ++y) {
+    for (std::int32_t x = 30; x < 80; ++x) segment[y * kWidth + x] = 4;   // both boxes
+    for (std::int32_t x = 90; x < 110; ++x) segment[y * kWidth + x] = 7;  // of the wall
+  }
+  const Boxes boxes(kTwo);
+  const ThingTree tree = boxes.tree(true, segment);
+  EXPECT_EQ(overlap(choose(tree, {{42, 50}}), 30, 30, 80, 70), 1) << "one thing of two colours";
+  EXPECT_EQ(overlap(choose(tree, {{100, 50}}), 90, 30, 110, 70), 1) << "nothing is to be seen there";
+  const Thing wall = choose(tree, {{15, 15}});
+  EXPECT_NEAR(wall.share, 1 - 2800.0 / (kWidth * kHeight), 1e-9);
+  EXPECT_EQ(overlap(choose(tree, {{42, 50}, {100, 50}}), 30, 30, 80, 70), 2000.0 / 2800) << "both";
+  const std::vector<std::int32_t> none(kWidth * kHeight, 0);
+  EXPECT_EQ(choose(boxes.tree(true, none), {{42, 50}}).mask, choose(boxes.tree(), {{42, 50}}).mask);
 }
 
 TEST(Things, APictureOfOnePixelIsOneThing) {

@@ -22,6 +22,7 @@
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/shape/simplify.h"
+#include "surface/mesh/shape/smooth_borders.h"
 #include "surface/mesh/sights.h"
 #include "surface/mesh/surface.h"
 #include "tests/says.h"
@@ -331,8 +332,118 @@ TEST(Simplify, LabelsAndColoursStayWithTheirPlaces) {
     EXPECT_TRUE(left ? square.positions[v].x < 4.2 : square.positions[v].x > 4.05) << square.positions[v].x;
   }
   double lefts = 0;
-  for (const Triangle& t : square.triangles) lefts += triangle_label(known, t) == 3 ? area_of(square, t) : 0;
+  for (const Triangle& t : square.triangles) lefts += known.label[t[0]] == 3 ? area_of(square, t) : 0;
   EXPECT_NEAR(lefts, 41.25, 1.5) << "half of the column of quads between the classes";
+}
+
+// Of vertices that lie at one place one is left.
+Surface welded(const Surface& surface) {
+  std::map<std::array<double, 3>, std::uint32_t> number;
+  std::vector<std::uint32_t> of_vertex;
+  Surface out;
+  for (const Vec3d& p : surface.positions) {
+    const auto [found, fresh] = number.try_emplace({p.x, p.y, p.z}, static_cast<std::uint32_t>(number.size()));
+    if (fresh) out.positions.push_back(p);
+    of_vertex.push_back(found->second);
+  }
+  for (const Triangle& t : surface.triangles)
+    out.triangles.push_back({of_vertex[t[0]], of_vertex[t[1]], of_vertex[t[2]]});
+  return out;
+}
+
+// The length of sides that a triangle of the class has alone, but for those on the square's own border.
+double border_of_class(const Surface& surface, std::int16_t label, double side) {
+  const Surface whole = welded(surface);
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> sides;
+  for (std::size_t i = 0; i < whole.triangles.size(); ++i) {
+    if (surface.attributes.label[surface.triangles[i][0]] != label) continue;
+    const Triangle& t = whole.triangles[i];
+    for (std::size_t k = 0; k < 3; ++k) ++sides[std::minmax(t[k], t[(k + 1) % 3])];
+  }
+  double sum = 0;
+  for (const auto& [ends, times] : sides) {
+    const Vec3d a = whole.positions[ends.first], b = whole.positions[ends.second];
+    const auto outside = [&](int axis) { return a[axis] == b[axis] && (a[axis] == 0 || a[axis] == side); };
+    if (times == 1 && !outside(0) && !outside(1)) sum += length(b - a);
+  }
+  return sum;
+}
+
+// A level square of side 10 whose left part is of class 3 and whose top right is of class 5, the rest of class 7.
+Surface of_three_classes() {
+  Surface square = flat(40, [](int, int) { return true; });
+  PointAttributes& known = square.attributes;
+  for (const Vec3d& p : square.positions) {
+    const bool left = p.x + 0.4 * p.y < 5;
+    known.label.push_back(left ? 3 : p.y > 6.1 ? 5 : 7);
+    known.color.push_back({static_cast<std::uint8_t>(20 * p.x), 20, 30});
+    known.entropy.push_back(0.1F);
+  }
+  return square;
+}
+
+TEST(SmoothBorders, RunAlongTheLineAndNotInSteps) {
+  Surface square = of_three_classes();
+  const Surface before = square;
+  smooth_borders(square);
+  const PointAttributes& known = square.attributes;
+  ASSERT_EQ(known.label.size(), square.positions.size());
+  ASSERT_EQ(known.color.size(), square.positions.size());
+  ASSERT_EQ(known.entropy.size(), square.positions.size());
+  ASSERT_EQ(square.normals.size(), square.positions.size());
+  EXPECT_TRUE(std::equal(before.positions.begin(), before.positions.end(), square.positions.begin()));
+  double of_left = 0;
+  for (const Triangle& t : square.triangles) {
+    EXPECT_EQ(known.label[t[0]], known.label[t[1]]);
+    EXPECT_EQ(known.label[t[0]], known.label[t[2]]);
+    of_left += known.label[t[0]] == 3 ? area_of(square, t) : 0;
+    EXPECT_GT(cross(square.positions[t[1]] - square.positions[t[0]], square.positions[t[2]] - square.positions[t[0]]).z,
+              0)
+        << "no triangle is turned over";
+  }
+  EXPECT_NEAR(of_left, 30, 0.3) << "the mean of 5 and 1 times 10";
+  for (const std::size_t v : {std::size_t{0}, square.positions.size() - 1})
+    EXPECT_NEAR(known.color[v][0], 20 * square.positions[v].x, 1);
+  EXPECT_NEAR(area(square), 100, 1e-9);
+  EXPECT_NEAR(border_of_class(square, 3, 10), std::hypot(10, 4), 0.2) << "a line, not a staircase";
+  Surface whole = welded(square);
+  EXPECT_EQ(border_sides(whole), 163U) << "its own four sides alone are open, cut where a border meets them";
+}
+
+TEST(SmoothBorders, TheSureOutvoteAndObjectsOfOneClassArePartedToo) {
+  Surface square = flat(12, [](int, int) { return true; });
+  PointAttributes& known = square.attributes;
+  for (const Vec3d& p : square.positions) {
+    known.label.push_back(1);
+    known.instance.push_back(p.x < 1.4 ? 1 : 2);
+    known.color.push_back({});
+    known.entropy.push_back(0);
+  }
+  known.label[6 * 13 + 6] = 2;
+  known.entropy[6 * 13 + 6] = 2;
+  smooth_borders(square);
+  EXPECT_EQ(std::set<std::int16_t>(known.label.begin(), known.label.end()), std::set<std::int16_t>{1});
+  double of_first = 0;
+  for (const Triangle& t : square.triangles) {
+    EXPECT_EQ(known.instance[t[0]], known.instance[t[1]]);
+    EXPECT_EQ(known.instance[t[0]], known.instance[t[2]]);
+    of_first += known.instance[t[0]] == 1 ? area_of(square, t) : 0;
+  }
+  EXPECT_NEAR(of_first, 3 * 1.375, 0.15) << "half-way between two columns of vertices";
+}
+
+TEST(SmoothBorders, NothingChangesWithoutBordersOrThreads) {
+  Surface plain = flat(12, [](int, int) { return true; });
+  const Surface before = plain;
+  smooth_borders(plain);
+  EXPECT_EQ(plain.triangles, before.triangles);
+  std::vector<Surface> made;
+  for (const int threads : {1, 2}) {
+    const ThreadScope scope(threads);
+    smooth_borders(made.emplace_back(of_three_classes()));
+  }
+  EXPECT_EQ(made[0].triangles, made[1].triangles);
+  EXPECT_TRUE(made[0].positions == made[1].positions);
 }
 
 TEST(CloseHoles, AHoleIsClosedFromTheLengthOfItsBorderOn) {
@@ -410,27 +521,12 @@ void write_expected(const std::string& path, const Surface& s, const GlbLook& lo
   want["entropy"] = s.attributes.entropy;
   want["instances"] = s.attributes.instance;
   want["triangles"] = s.triangles;
-  // Groups by a rule of their own: the class of two corners, else of the surest corner.
   std::map<int, nlohmann::json> groups;
   std::map<std::pair<int, int>, nlohmann::json> primitives;  // by object, then by class
   for (const Triangle& t : s.triangles) {
-    int label = -1;
-    if (!s.attributes.label.empty()) {
-      std::map<int, int> votes;
-      for (const std::uint32_t v : t) ++votes[s.attributes.label[v]];
-      std::uint32_t surest = t[0];
-      for (const std::uint32_t v : t) surest = s.attributes.entropy[v] < s.attributes.entropy[surest] ? v : surest;
-      label = s.attributes.label[surest];
-      for (const auto& [candidate, count] : votes) label = count > 1 ? candidate : label;
-    }
+    const int label = s.attributes.has_labels() ? s.attributes.label[t[1]] : -1;
     groups[label]["triangles"].push_back(t);
-    int object = 0;
-    if (!s.attributes.instance.empty()) {
-      std::map<int, int> votes;
-      for (const std::uint32_t v : t) ++votes[s.attributes.instance[v]];
-      object = s.attributes.instance[t[0]];
-      for (const auto& [candidate, count] : votes) object = count > 1 ? candidate : object;
-    }
+    const int object = s.attributes.has_instances() ? s.attributes.instance[t[2]] : 0;
     primitives[{object, label}]["triangles"].push_back(t);
   }
   static const std::map<int, std::array<std::uint8_t, 3>> colors{
@@ -457,7 +553,8 @@ void write_expected(const std::string& path, const Surface& s, const GlbLook& lo
 void expect_read_back(bool semantics, const GlbLook& look, const std::vector<std::string>& names) {
   if (!python_found()) GTEST_SKIP() << "no python3 here: the mesh files were written but not read by another program";
   const TempDir dir;
-  const Surface surface = mesh_files_ball(semantics);
+  Surface surface = mesh_files_ball(semantics);
+  smooth_borders(surface);
   write_expected(dir / "expected.json", surface, look, names);
   write_ply(dir / "mesh.ply", surface, classes());
   write_ply(dir / "points.ply", PointSet{surface.positions, {}, {}, surface.attributes}, classes());

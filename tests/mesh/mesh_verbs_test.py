@@ -116,7 +116,8 @@ class Mesh(VerbCase):
                              said["unseen_faces"] > 0)
             return said["faces"], said["unseen_faces"]
         (total, none), (seen, unseen) = faces("--keep-unseen"), faces("--surface", "density")
-        self.assertTrue(none == 0 < unseen and seen + unseen == total, (total, none, seen, unseen))
+        self.assertTrue(none == 0 < unseen, (total, none, seen, unseen))
+        self.assertAlmostEqual(seen + unseen, total, delta=0.05 * total)  # borders of classes are cut in what is left
 
     def test_it_is_of_depth_where_rays_end_in_a_background(self):
         """Of a room it is fused from depth, unless something asks for the density."""
@@ -145,7 +146,10 @@ class Mesh(VerbCase):
             self.assertGreater(of_run["sensor"][what][1], of_run["mesh"][what][1])
         of_sensor = json.loads(self.ok([*words, scored, "--surface", "sensor", "--score", "--json"]).out)
         self.assertEqual(of_sensor["surface"], "sensor")
-        self.assertEqual(of_sensor["score"]["mesh"], of_run["sensor"])  # the same surface
+        shares = [[share for what in ("complete", "complete_of_held_out", "accurate", "f") for share in score[what]]
+                  for score in (of_sensor["score"]["mesh"], of_run["sensor"])]
+        for own, other in zip(*shares):  # the same surface, but that borders of classes are cut
+            self.assertAlmostEqual(own, other, delta=0.001)
         self.assertIsNone(of_sensor["score"]["sensor"])
 
     def test_lengths_that_nobody_names_are_shares_of_a_large_scene(self):

@@ -9,12 +9,12 @@
 
 #include "formats/image_io.h"
 #include "formats/npz.h"
+#include "labels/segments.h"
 #include "scene/scene.h"
 #include "surface/objects/find_objects.h"
 #include "surface/objects/object_network.h"
 #include "surface/objects/object_score.h"
 #include "surface/objects/object_set.h"
-#include "surface/objects/segments.h"
 #include "testkit/compare.h"
 #include "tests/linked_registry.h"
 #include "tests/says.h"

@@ -174,6 +174,29 @@ class Serve(ProgramCase):
         self.assertTrue(served.post("event", served.click("k"))["applied"])
         self.ended(served.ended_by(signal.SIGTERM), 74, "every label is stored")
 
+    def test_a_thing_is_what_a_segmenter_saw(self):
+        """Halves of a photograph that nothing in it tells apart."""
+        (self.dir / "masks").mkdir()
+        config = self.room(1_000_000, 1)
+        self.ended(["serve", config, "--segments", self.dir / "masks"], 65, "holds no segments of a training frame",
+                   "[objects.segments.none]")
+        served = self.serve(1_000_000)
+        view = served.state()["views"][0]
+        served.ended_by(signal.SIGTERM)
+        half = view["width"] // 2
+        png(self.dir / f"masks/{view['frame']}.png", view["width"], view["height"], 0, 8,
+            [bytes([1] * half + [2] * (view["width"] - half))] * view["height"])
+        served = Served(self, self.run_dir, "--segments", self.dir / "masks")
+        self.assertTrue(served.state_when(lambda state: state["run"]["geometry_ready"])["run"]["geometry_ready"])
+        for x, share in ((half // 2, half / view["width"]), (half + half // 2, 1 - half / view["width"])):
+            status, answer = served.ask("POST", "thing", json.dumps(
+                {"client": "c", "view": 0, "also": [[x, view["height"] // 2]], "not": [], "level": 0}))
+            self.assertEqual(status, 200, answer)
+            size = struct.unpack_from("<I", answer)[0]
+            self.assertAlmostEqual(json.loads(answer[4:4 + size])["share"], share, delta=0.001)
+        self.ended(served.ended_by(signal.SIGTERM), 143,
+                   f"semfield serve {shlex.quote(str(self.run_dir))} --segments {self.dir / 'masks'}")
+
     def test_a_full_disk_ends_nothing_and_no_row_is_lost(self):
         """A disk of 6 MB that somebody else fills for a moment while checkpoints are written."""
         self.room(1_000_000, 0.05)

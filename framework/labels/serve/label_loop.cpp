@@ -274,10 +274,11 @@ std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t wi
 }
 
 LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const PointLearning& learning,
-                     std::span<const int> held_out)
+                     std::span<const int> held_out, std::vector<FrameSegments> segments)
     : training_(training),
       pipeline_(*training.session().pipeline),
       learning_(learning),
+      segments_(std::move(segments)),
       logit_of_class_(training.session().logit_of_class()) {
   const Session& session = training.session();
   std::int64_t pixels = 0;
@@ -289,6 +290,7 @@ LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const Point
     view.frame = f;
     view.camera = {info.camera, info.world_from_camera, session.plan.undistortion};
     view.photo = &session.scene.frames[n];
+    if (n < segments_.size() && !segments_[n].empty()) view.segments = &segments_[n];
     views_.push_back(std::move(view));
     return info.camera;
   };

@@ -16,6 +16,7 @@
 #include "execution/pipeline.h"
 #include "formats/image_io.h"
 #include "labels/clicks.h"
+#include "labels/segments.h"
 #include "labels/serve/proposals.h"
 #include "surface/surface_graph.h"
 #include "train/trainer.h"
@@ -129,9 +130,10 @@ struct ViewLabels {
 class LabelLoop {
  public:
   /// `frames`: the views, numbers in SceneInfo::frames; `held_out`: views behind them that are only looked at, so
-  /// neither surface nor questions come from them. Borrows the training, which must have semantics.
+  /// neither surface nor questions come from them; `segments`: of the frames of SceneInfo, where some have any, whose
+  /// borders part the surface. Borrows the training, which must have semantics.
   LabelLoop(Trainer& training, std::span<const int> frames, const PointLearning& learning,
-            std::span<const int> held_out = {});
+            std::span<const int> held_out = {}, std::vector<FrameSegments> segments = {});
 
   const std::vector<PoolView>& views() const { return views_; }
   const PoolView& view(int number) const { return views_[static_cast<std::size_t>(number)]; }
@@ -233,6 +235,7 @@ class LabelLoop {
   Trainer& training_;
   Pipeline<float>& pipeline_;
   PointLearning learning_;
+  std::vector<FrameSegments> segments_;
   std::vector<PoolView> views_;
   std::size_t pooled_ = 0;
   std::vector<std::vector<bool>> ignored_;  // of each view

@@ -388,7 +388,10 @@ LabelledRun open_labelling(RunConfig config, Registry& registry, const LabelSess
   if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
   Noting noting(listener);
   auto run = std::make_unique<Run>(std::move(config), registry, request, listener, &noting);
-  return {std::move(run), std::move(noting.warnings)};
+  SegmentSet segments;
+  if (!options.segments.empty())
+    segments = read_segments(options.segments, options.pattern, run->training().session().scene.info);
+  return {std::move(run), std::move(noting.warnings), std::move(segments)};
 }
 
 }  // namespace
@@ -400,7 +403,7 @@ LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSess
 LabelSession::LabelSession(LabelledRun labelled_run)
     : run_(std::move(labelled_run.run)),
       training_(run_->training()),
-      loop_(training_, opened().drawn_frames(), {}, held_out_frames(opened())),
+      loop_(training_, opened().drawn_frames(), {}, held_out_frames(opened()), std::move(labelled_run.segments.frames)),
       pictures_(training_, loop_, [this](int view, std::int32_t most_px) { return photo(view, most_px); }),
       view_of_frame_(opened().scene.frames.size(), -1),
       named_(view_of_frame_.size()),

@@ -51,21 +51,23 @@ class LabelSource {
 };
 
 struct LabelSessionOptions {
-  std::string run_dir;  ///< made, or gone on with where it is a run of such a session
-  int class_room = 0;   ///< most classes; 0: 32. Never fewer than the scene has
+  std::string run_dir;            ///< made, or gone on with where it is a run of such a session
+  int class_room = 0;             ///< most classes; 0: 32. Never fewer than the scene has
+  std::string segments, pattern;  ///< of images, as read_segments() reads them; "": there are none
 };
 
 /// By Driver::page, with a folder and room for classes (scene.labels.class_room), so its network has semantics.
 struct LabelledRun {
   std::unique_ptr<Run> run;
   std::vector<std::string> warnings;  ///< of while it was opened
+  SegmentSet segments;
 };
 
 /// The run's folder holds run.yaml, clicks.jsonl, metrics.jsonl and checkpoints, so every verb works on it while the
 /// session goes on and afterwards.
 class LabelSession final : public LabelSource {
  public:
-  /// Opens scene and run; `listener` may be null. Throws as open_session and Trainer do.
+  /// Opens scene and run; `listener` may be null. Throws as open_session, Trainer and read_segments do.
   LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, RunListener* listener);
   explicit LabelSession(LabelledRun run);
 

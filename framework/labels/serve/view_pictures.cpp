@@ -13,6 +13,7 @@
 #include "core/files.h"
 #include "eval/photo_edges.h"
 #include "formats/image_io.h"
+#include "labels/segments.h"
 #include "labels/serve/label_loop.h"
 
 namespace semfield {
@@ -108,11 +109,17 @@ const ThingTree& ViewPictures::things_of(int number) {
                           std::max(1, static_cast<std::int32_t>(photo.height_px * size)));
   }
   const SeenSurface seen = view.map.empty() ? SeenSurface{} : surface_seen_by(view, training_.session().limits);
-  things_.insert(things_.begin(), {number, view.map.step,
-                                   ThingTree({.width_px = size < 1 ? smaller.width_px : photo.width_px,
-                                              .height_px = size < 1 ? smaller.height_px : photo.height_px,
-                                              .rgb = size < 1 ? smaller.pixels : photo.rgb,
-                                              .surface = view.map.empty() ? nullptr : &seen})});
+  ThingPicture picture{.width_px = size < 1 ? smaller.width_px : photo.width_px,
+                       .height_px = size < 1 ? smaller.height_px : photo.height_px,
+                       .rgb = size < 1 ? smaller.pixels : photo.rgb,
+                       .surface = view.map.empty() ? nullptr : &seen};
+  std::vector<std::int32_t> segments;
+  if (view.segments != nullptr)
+    for (std::int32_t y = 0; y < picture.height_px; ++y)
+      for (std::int32_t x = 0; x < picture.width_px; ++x)
+        segments.push_back(view.segments->at(x, y, picture.width_px, picture.height_px));
+  picture.segment = segments;
+  things_.insert(things_.begin(), {number, view.map.step, ThingTree(picture)});
   return things_.front().tree;
 }
 

@@ -478,9 +478,10 @@ PointSet PointCloud::points() const {
 std::vector<ClassGroup> class_groups(const Surface& surface, const ClassTable& classes, bool by_object) {
   std::map<std::pair<std::int32_t, std::int16_t>, ClassGroup> found;
   for (std::size_t i = 0; i < surface.triangles.size(); ++i) {
-    const Triangle& triangle = surface.triangles[i];
-    const std::int32_t instance = by_object ? triangle_instance(surface.attributes, triangle) : 0;
-    ClassGroup& group = found[{instance, triangle_label(surface.attributes, triangle)}];
+    const std::uint32_t corner = surface.triangles[i][0];
+    const PointAttributes& known = surface.attributes;
+    const std::int32_t instance = by_object && known.has_instances() ? known.instance[corner] : 0;
+    ClassGroup& group = found[{instance, known.has_labels() ? known.label[corner] : kVoid}];
     group.instance = instance;
     group.triangles.push_back(static_cast<std::uint32_t>(i));
   }

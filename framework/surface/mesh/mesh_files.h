@@ -149,7 +149,8 @@ class BufferedFile {
   std::vector<std::byte> pending_;
 };
 
-// Triangles of a surface by class, with a name and a colour for each group: what OBJ and GLB write as materials.
+// Triangles of a surface by class, that of their corners (smooth_borders), with a name and a colour for each group: what
+// OBJ and GLB write as materials.
 
 struct ClassGroup {
   std::string name;                      ///< unique, of the class table; "surface" without semantics, "void" for none

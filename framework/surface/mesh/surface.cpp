@@ -93,25 +93,6 @@ void keep_triangles(Surface& surface, const std::vector<char>& keep) {
   }
 }
 
-std::int16_t triangle_label(const PointAttributes& attributes, const Triangle& t) {
-  if (!attributes.has_labels()) return kVoid;
-  const auto& label = attributes.label;
-  if (label[t[0]] == label[t[1]] || label[t[0]] == label[t[2]]) return label[t[0]];
-  if (label[t[1]] == label[t[2]]) return label[t[1]];
-  std::uint32_t surest = t[0];
-  for (const std::uint32_t v : t) {
-    if (attributes.entropy[v] < attributes.entropy[surest]) surest = v;
-  }
-  return label[surest];
-}
-
-std::int32_t triangle_instance(const PointAttributes& attributes, const Triangle& triangle) {
-  if (!attributes.has_instances()) return 0;
-  const std::int32_t a = attributes.instance[triangle[0]], b = attributes.instance[triangle[1]],
-                     c = attributes.instance[triangle[2]];
-  return b == c ? b : a;
-}
-
 std::array<double, 4> turn_to_y(Vec3d up) {
   const Vec3d y{0, 1, 0};
   if (up.y < -1 + 1e-12) return {1, 0, 0, 0};  // upside down: half a turn about any level axis

@@ -13,7 +13,7 @@
 namespace semfield {
 
 /// What rendering shows of a point on a surface. `label` and `entropy` are empty without semantics, `instance` without
-/// objects. Filters of surfaces keep the first three; objects are looked up when the surface has its final form.
+/// objects. Filters of surfaces keep the first three; objects are looked up when the surface has its faces.
 struct PointAttributes {
   std::vector<std::array<std::uint8_t, 3>> color;  ///< display-referred, as PNG output
   std::vector<std::int16_t> label;                 ///< class index, kVoid = none
@@ -53,11 +53,6 @@ std::int64_t drop_small_components(Surface& surface, double min_share);
 
 /// Keeps triangles whose flag is set, and the vertices that they use with what is known of them.
 void keep_triangles(Surface& surface, const std::vector<char>& keep);
-
-/// The class of a triangle: that of two of its corners, or of the corner with the least entropy.
-std::int16_t triangle_label(const PointAttributes& attributes, const Triangle& triangle);
-/// The object of a triangle: that of two of its corners, or of the first; 0 without objects.
-std::int32_t triangle_instance(const PointAttributes& attributes, const Triangle& triangle);
 
 /// Quaternion x, y, z, w of the smallest turn from `up`, a unit vector, to +y.
 std::array<double, 4> turn_to_y(Vec3d up);

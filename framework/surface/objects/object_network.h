@@ -10,10 +10,10 @@
 
 #include "compute/parallel.h"
 #include "core/small_math.h"
+#include "labels/segments.h"
 #include "model/param_store.h"
 #include "plugin/grouping.h"
 #include "plugin/mlp/mlp.h"
-#include "surface/objects/segments.h"
 #include "surface/surface_graph.h"
 #include "train/session.h"
 

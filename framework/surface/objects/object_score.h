@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "config/settings/run_config.h"
+#include "labels/segments.h"
 #include "surface/objects/find_objects.h"
-#include "surface/objects/segments.h"
 
 namespace semfield {
 

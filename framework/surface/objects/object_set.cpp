@@ -100,6 +100,13 @@ std::int32_t ObjectSet::at(Vec3d place) const {
   return object;
 }
 
+std::vector<std::int32_t> ObjectSet::at(std::span<const Vec3d> places) const {
+  std::vector<std::int32_t> ids(places.size());
+  parallel_for(std::ssize(places),
+               [&](std::int64_t i) { ids[static_cast<std::size_t>(i)] = at(places[static_cast<std::size_t>(i)]); });
+  return ids;
+}
+
 std::string ObjectSet::digest() const {
   return fmt::format("{:016x}", fnv1a64({reinterpret_cast<const char*>(id.data()), id.size() * sizeof(id[0])}));
 }

@@ -31,6 +31,7 @@ struct ObjectSet {
   /// The object of the surface at a place of the world, 0: none. A place off all points takes the one of those within
   /// kReach cells.
   std::int32_t at(Vec3d place) const;
+  std::vector<std::int32_t> at(std::span<const Vec3d> places) const;
   static constexpr double kReach = 4;
   /// Tells one result of `semfield objects` from another: 16 hexadecimal digits of the ids that were found.
   std::string digest() const;

@@ -1,4 +1,4 @@
-#include "surface/objects/segments.h"
+#include "labels/segments.h"
 
 #include <algorithm>
 #include <cstdint>
@@ -71,7 +71,7 @@ SegmentSet segments_of_scene(const LoadedScene& scene) {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::json;
+using SegmentJson = nlohmann::json;
 
 constexpr std::uint16_t kNoSegment16 = 65535;
 
@@ -198,23 +198,23 @@ class ArrayMasks {
   std::vector<MaskPixels> masks_;
 };
 
-const Json& member(const Json& item, const char* key, const std::string& place) {
+const SegmentJson& member(const SegmentJson& item, const char* key, const std::string& place) {
   if (!item.is_object() || !item.contains(key))
     refuse_labels("labels.file.format", place, std::string("has no '") + key + "'", "write the segments again");
   return item.at(key);
 }
 
 // As those of every file of masks, and where the key is not there, with the remedy of segments.
-std::int64_t whole_of(const Json& item, const char* key, const std::string& place) {
+std::int64_t whole_of(const SegmentJson& item, const char* key, const std::string& place) {
   (void)member(item, key, place);
-  return semfield::whole_of<Json>(item, key, place);
+  return semfield::whole_of<SegmentJson>(item, key, place);
 }
-std::string text_of(const Json& item, const char* key, const std::string& place) {
+std::string text_of(const SegmentJson& item, const char* key, const std::string& place) {
   (void)member(item, key, place);
-  return semfield::text_of<Json>(item, key, place);
+  return semfield::text_of<SegmentJson>(item, key, place);
 }
 
-MaskPixels mask_of(const Json& item, std::int32_t width, std::int32_t height, std::int16_t class_index,
+MaskPixels mask_of(const SegmentJson& item, std::int32_t width, std::int32_t height, std::int16_t class_index,
                    const std::string& place) {
   return {coco_mask(member(item, "segmentation", place), width, height, place).runs(width, height, place), class_index};
 }
@@ -229,14 +229,14 @@ FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
 
 // Masks of a segmenter of everything.
 FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame) {
-  const Json root = read_label_json<Json>(path, "write the segments again");
-  const Json& list = root.is_array() ? root : member(root, "annotations", path);
+  const SegmentJson root = read_label_json<SegmentJson>(path, "write the segments again");
+  const SegmentJson& list = root.is_array() ? root : member(root, "annotations", path);
   if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
   std::int64_t width = frame.camera.width_px, height = frame.camera.height_px;
-  for (const Json& item : list) {
+  for (const SegmentJson& item : list) {
     const auto found = item.is_object() ? item.find("segmentation") : item.end();
     if (!item.is_object() || found == item.end() || !found->is_object()) continue;
-    const Json& size = member(*found, "size", path);
+    const SegmentJson& size = member(*found, "size", path);
     if (!size.is_array() || size.size() != 2 || !size[0].is_number_integer() || !size[1].is_number_integer())
       refuse_labels("labels.run_lengths.damaged", path, "'size' is no pair of whole numbers");
     height = size[0].get<std::int64_t>();
@@ -246,7 +246,7 @@ FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame)
   check_segment_size(width, height, frame, path);
   std::vector<MaskPixels> masks;
   std::size_t number = 0;
-  for (const Json& item : list) {
+  for (const SegmentJson& item : list) {
     const std::string place = path + ": mask " + std::to_string(++number);
     masks.push_back(mask_of(item, static_cast<std::int32_t>(width), static_cast<std::int32_t>(height), kVoid, place));
   }
@@ -254,13 +254,13 @@ FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame)
 }
 
 // Classes of COCO's categories, by id.
-std::map<std::int64_t, std::int16_t> classes_of_categories(const Json& root, const ClassTable& classes,
+std::map<std::int64_t, std::int16_t> classes_of_categories(const SegmentJson& root, const ClassTable& classes,
                                                            const std::string& path) {
   std::map<std::int64_t, std::int16_t> out;
   if (!root.contains("categories")) return out;
   const ClassNames names(classes);
   std::size_t number = 0;
-  for (const Json& item : root["categories"]) {
+  for (const SegmentJson& item : root["categories"]) {
     const std::string place = path + ": category " + std::to_string(++number);
     const int index = names.find(text_of(item, "name", place));
     if (index >= 0) out[whole_of(item, "id", place)] = static_cast<std::int16_t>(index);
@@ -268,20 +268,20 @@ std::map<std::int64_t, std::int16_t> classes_of_categories(const Json& root, con
   return out;
 }
 
-std::int16_t class_of(const Json& item, const std::map<std::int64_t, std::int16_t>& classes) {
+std::int16_t class_of(const SegmentJson& item, const std::map<std::int64_t, std::int16_t>& classes) {
   if (!item.contains("category_id") || !item["category_id"].is_number_integer()) return kVoid;
   const auto found = classes.find(item["category_id"].get<std::int64_t>());
   return found == classes.end() ? kVoid : found->second;
 }
 
-FrameSegments segments_of_colors(const std::string& path, const Json& annotation, const FrameInfo& frame,
+FrameSegments segments_of_colors(const std::string& path, const SegmentJson& annotation, const FrameInfo& frame,
                                  const std::map<std::int64_t, std::int16_t>& classes, const std::string& place) {
   const Image<std::uint8_t> image = read_rgb(path);
   check_segment_size(image.width_px, image.height_px, frame, path);
   FrameSegments out{image.width_px, image.height_px, {}, {}};
   for (std::size_t i = 0; i < image.pixels.size(); i += 3)
     out.id.push_back(image.pixels[i] + 256 * image.pixels[i + 1] + 65536 * image.pixels[i + 2]);
-  for (const Json& segment : member(annotation, "segments_info", place)) {
+  for (const SegmentJson& segment : member(annotation, "segments_info", place)) {
     const std::int64_t id = whole_of(segment, "id", place);
     if (id < 0 || id >= 1 << 24)
       refuse_labels("labels.file.format", place, "segment " + std::to_string(id) + " is no colour of an image",
@@ -321,8 +321,8 @@ class Reading {
   }
 
   void file(const std::string& path) {
-    const Json root = read_label_json<Json>(path, "write the segments again");
-    const Json& list = member(root, "annotations", path);
+    const SegmentJson root = read_label_json<SegmentJson>(path, "write the segments again");
+    const SegmentJson& list = member(root, "annotations", path);
     if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
     const std::map<std::int64_t, std::int16_t> classes = classes_of_categories(root, info_.classes, path);
     const bool panoptic = !list.empty() && list[0].is_object() && list[0].contains("segments_info");
@@ -365,11 +365,12 @@ class Reading {
     return out;
   }
 
-  void of_panoptic(const std::string& path, const Json& list, const std::map<std::int64_t, std::int16_t>& classes) {
+  void of_panoptic(const std::string& path, const SegmentJson& list,
+                   const std::map<std::int64_t, std::int16_t>& classes) {
     const fs::path inside = fs::path(path).replace_extension();
     const fs::path folder = is_folder(inside) ? inside : fs::path(path).parent_path();
     std::vector<PictureName> pictures;
-    for (const Json& item : list) {
+    for (const SegmentJson& item : list) {
       const std::string place = path + ": annotation " + std::to_string(pictures.size() + 1);
       pictures.push_back({.path = text_of(item, "file_name", place), .place = place});
     }
@@ -382,7 +383,7 @@ class Reading {
     }
   }
 
-  void of_instances(const std::string& path, const Json& root, const Json& list,
+  void of_instances(const std::string& path, const SegmentJson& root, const SegmentJson& list,
                     const std::map<std::int64_t, std::int16_t>& classes) {
     struct OfImage {
       std::int32_t width = 0, height = 0;
@@ -391,13 +392,13 @@ class Reading {
     };
     std::map<std::int64_t, OfImage> images;
     std::vector<PictureName> pictures;
-    for (const Json& item : member(root, "images", path)) {
+    for (const SegmentJson& item : member(root, "images", path)) {
       const std::string place = path + ": image " + std::to_string(pictures.size() + 1);
       pictures.push_back({.path = text_of(item, "file_name", place), .place = place});
     }
     const std::vector<int> frames = frames_of(pictures);
     std::size_t number = 0;
-    for (const Json& item : member(root, "images", path)) {
+    for (const SegmentJson& item : member(root, "images", path)) {
       const std::string& place = pictures[number].place;
       OfImage image;
       if (const int f = frames[number++]; f >= 0) {
@@ -410,7 +411,7 @@ class Reading {
       images[whole_of(item, "id", place)] = std::move(image);
     }
     number = 0;
-    for (const Json& item : list) {
+    for (const SegmentJson& item : list) {
       const std::string place = path + ": annotation " + std::to_string(++number);
       const auto image = images.find(whole_of(item, "image_id", place));
       if (image == images.end())
