@@ -31,6 +31,10 @@ constexpr double kDoubtful = 0.5;
 constexpr double kSameShape = 0.02;  // of the ratio of the sides: sizes are rounded to pixels
 constexpr float kHeard = 0.004F;     // a class that is nowhere more probable in a picture is left out
 
+// Where a photograph whose pixels are not fine would change few labels, those are small and thin things, which rays see
+// and its edges miss: up to the first share of the pixels the two count alike, from the second on the photograph alone.
+constexpr double kFewChange = 0.015, kManyChange = 0.03, kRays = 0.5;
+
 // Times 16, and by the binomial filter of 3 x 3 pixels where pixels are fine: noise of single ones is no edge then.
 std::vector<std::uint16_t> smoothed(std::span<const std::uint8_t> rgb, std::int32_t width, std::int32_t height) {
   const int side =
@@ -156,14 +160,17 @@ PhotoLabels labels_on_photo(const ClassEvidence& evidence, std::span<const std::
   out.label.assign(size, kVoid);
   out.confidence.assign(size, 0);
   out.entropy.assign(size, 0);
-  // How sure each known pixel is, and the columns that say anything at all.
+  // How sure each known pixel is, and of what, and the columns that say anything at all.
   std::vector<float> sure(known), most(columns);
+  std::vector<std::size_t> own(known);
   for (std::size_t i = 0; i < known; ++i) {
     float best = 0;
     for (std::size_t c = 0; c < columns; ++c) {
       const float p = evidence.probability[i * columns + c];
-      best = std::max(best, p);
       most[c] = std::max(most[c], p);
+      if (p <= best) continue;
+      best = p;
+      own[i] = c;
     }
     sure[i] = best * best * best * best;
   }
@@ -181,7 +188,9 @@ PhotoLabels labels_on_photo(const ClassEvidence& evidence, std::span<const std::
     place.push_back(static_cast<std::size_t>(y * width_px + x));
   }
   const PhotoEdges edges(rgb, width_px, height_px);
-  std::vector<float> values(size * kWide), norm(size);
+  const bool is_coarse = known == size && std::max(width_px, height_px) < kFine_px;
+  std::vector<float> values(size * kWide), norm(size), own_share(is_coarse ? size : 0);
+  std::vector<std::size_t> column(own_share.size());  // that was found
   // Column 0 of all is how much is known; the others follow in groups.
   for (std::size_t begin = 0; begin < heard.size() + 1; begin += kWide) {
     const std::size_t count = std::min(kWide, heard.size() + 1 - begin);
@@ -201,13 +210,31 @@ PhotoLabels labels_on_photo(const ClassEvidence& evidence, std::span<const std::
         if (!(norm[i] > 0)) continue;
         for (; k < count; ++k) {
           const float p = row[k] / norm[i];
+          const std::size_t c = heard[begin + k - 1];
           if (p > 0) out.entropy[i] -= p * std::log(p);
+          if (!own_share.empty() && c == own[i]) own_share[i] = p;
           if (p <= out.confidence[i]) continue;
           out.confidence[i] = p;
-          out.label[i] = evidence.label[heard[begin + k - 1]];
+          out.label[i] = evidence.label[c];
+          if (!column.empty()) column[i] = c;
         }
       }
     });
+  }
+  double changed = 0;
+  for (std::size_t i = 0; i < column.size(); ++i) changed += column[i] != own[i] && sure[i] > 0 ? 1 : 0;
+  const double rays =
+      kRays * std::clamp((kManyChange - changed / static_cast<double>(size)) / (kManyChange - kFewChange), 0.0, 1.0);
+  for (std::size_t i = 0; rays > 0 && i < column.size(); ++i) {
+    if (column[i] == own[i] || !(sure[i] > 0)) continue;
+    const float* const seen = &evidence.probability[i * columns];
+    const auto both = [&](float photo, std::size_t c) {
+      return static_cast<float>((1 - rays) * static_cast<double>(photo) + rays * static_cast<double>(seen[c]));
+    };
+    const float kept = both(own_share[i], own[i]);
+    if (kept <= both(out.confidence[i], column[i])) continue;
+    out.label[i] = evidence.label[own[i]];
+    out.confidence[i] = kept;
   }
   clear_specks(out, width_px, height_px);
   return out;

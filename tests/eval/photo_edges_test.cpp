@@ -173,6 +173,30 @@ TEST(PhotoLabels, HaveNoSpecksButKeepSmallThingsThatAreSure) {
     ASSERT_EQ(found.label[i], is_thing(i % kWidth, i / kWidth) ? 8 : 3) << i % kWidth << ", " << i / kWidth;
 }
 
+// A post that the photograph does not show. Rays are believed where little else is doubted, and pixels are coarse.
+TEST(PhotoLabels, OfCoarsePicturesKeepWhatIsThinAndSure) {
+  for (const int width : {100, 440}) {
+    for (const int noise : {0, 25}) {  // of so many pixels one is wrong
+      const int height = width * 4 / 5;
+      const Bytes grey(static_cast<std::size_t>(3 * width * height), 128);
+      TwoClasses known(width, height, 1, width);
+      const auto is_post = [&](int i) { return i % width / 2 == width / 4 && i / width >= height / 4; };
+      for (int i = 0; i < width * height; ++i)
+        if (is_post(i) || (noise > 0 && (7 * (i % width) + 13 * (i / width)) % noise == 0))
+          known.rows[2 * i] = 0, known.rows[2 * i + 1] = 1;
+      const PhotoLabels found = known.on(grey, width, height);
+      int kept = 0, posts = 0, wrong = 0;
+      for (int i = 0; i < width * height; ++i) {
+        posts += is_post(i) ? 1 : 0;
+        kept += is_post(i) && found.label[i] == 8 ? 1 : 0;
+        wrong += !is_post(i) && found.label[i] == 8 ? 1 : 0;
+      }
+      EXPECT_EQ(kept, width == 100 && noise == 0 ? posts : 0) << width << ", " << noise;
+      EXPECT_EQ(wrong, 0) << width << ", " << noise;
+    }
+  }
+}
+
 // A column without a class, rows that say nothing, classes that are nowhere.
 TEST(PhotoLabels, ProbabilitiesAreThoseOfWhatIsKnown) {
   constexpr int kWidth = 24, kHeight = 20;
@@ -199,17 +223,17 @@ TEST(PhotoLabels, ProbabilitiesAreThoseOfWhatIsKnown) {
   EXPECT_EQ(std::count(none.label.begin(), none.label.end(), std::int16_t{-1}), std::ssize(none.label));
 }
 
-// A frame whose photograph has its edge at column 40 and whose rendered colour has it at 44; the classes change at 42.
+// A frame whose photograph has its edge at column 200 and whose rendered colour has it at 220; the classes change at 210.
 struct ClingingFrame {
   TempDir dir;
   FrameInfo info;
   RenderedFrame rendered;
   ClingingFrame() {
-    rendered.width_px = 96;
-    rendered.height_px = 72;
-    for (const std::uint8_t value : two_colors(96, 72, 44)) rendered.rgb.push_back(static_cast<float>(value) / 255.0F);
-    for (int i = 0; i < 96 * 72; ++i) {
-      const bool left = i % 96 < 42;
+    rendered.width_px = 480;
+    rendered.height_px = 360;
+    for (const std::uint8_t value : two_colors(480, 360, 220)) rendered.rgb.push_back(static_cast<float>(value) / 255.0F);
+    for (int i = 0; i < 480 * 360; ++i) {
+      const bool left = i % 480 < 210;
       rendered.label.push_back(left ? 0 : 1);
       rendered.probability.push_back(left ? 0.8F : 0.2F);
       rendered.probability.push_back(left ? 0.2F : 0.8F);
@@ -222,23 +246,23 @@ struct ClingingFrame {
     return border(&info);
   }
   int border(const FrameInfo* of) const {
-    const std::vector<std::int16_t> label = clinging_labels(of, rendered, 2, 96, 72);
-    const auto row = label.begin() + 36 * 96;
-    return static_cast<int>(std::find(row, row + 96, 1) - row);
+    const std::vector<std::int16_t> label = clinging_labels(of, rendered, 2, 480, 360);
+    const auto row = label.begin() + 180 * 480;
+    return static_cast<int>(std::find(row, row + 480, 1) - row);
   }
 };
 
 TEST(PhotoLabels, TakeTheRenderedColourWhereNoPhotographFits) {
   ClingingFrame frame;
-  EXPECT_NEAR(frame.border(96, 72, 40), 40, 1);
-  EXPECT_NEAR(frame.border(192, 144, 80), 40, 1) << "larger: made smaller";
-  EXPECT_NEAR(frame.border(48, 36, 20), 44, 1) << "smaller";
-  EXPECT_NEAR(frame.border(72, 96, 30), 44, 1) << "turned";
+  EXPECT_NEAR(frame.border(480, 360, 200), 200, 1);
+  EXPECT_NEAR(frame.border(960, 720, 400), 200, 1) << "larger: made smaller";
+  EXPECT_NEAR(frame.border(240, 180, 100), 220, 1) << "smaller";
+  EXPECT_NEAR(frame.border(360, 480, 150), 220, 1) << "turned";
   frame.info.source.clear();
-  EXPECT_NEAR(frame.border(&frame.info), 44, 1) << "no file";
-  EXPECT_NEAR(frame.border(nullptr), 44, 1) << "no frame";
+  EXPECT_NEAR(frame.border(&frame.info), 220, 1) << "no file";
+  EXPECT_NEAR(frame.border(nullptr), 220, 1) << "no frame";
   frame.rendered.rgb.clear();
-  EXPECT_EQ(frame.border(nullptr), 42) << "nothing to cling to";
+  EXPECT_EQ(frame.border(nullptr), 210) << "nothing to cling to";
 }
 
 // Classes 0 and 1 with a gap of void between them, which is a border up to eight pixels wide.
