@@ -848,9 +848,15 @@ class HasteTest(MockPageCase):
         # A border between what is named: six pixels of one thing, then six of the other.
         x, y = next((x, y) for y in range(10, 80) for x in range(10, 110) if {bytes(rows[y][x - 6:x]), bytes(rows[y][x:x + 6])} == {b"\0" * 6, b"\4" * 6})
         at = self.page_of(page, x, y + 0.5)
-        across = page.pixels([(at[0] + k / 2, at[1]) for k in range(-6, 7)])
-        light = [sum(pixel) for pixel in across]
-        self.assertTrue(max(light) > light[0] + 60 and max(light) > light[-1] + 60 and min(light) < min(light[0], light[-1]) - 60, f"no line: {across}")
+        def has_line(light):
+            return max(light) > light[0] + 60 and max(light) > light[-1] + 60 and min(light) < min(light[0], light[-1]) - 60
+
+        for _ in range(60):  # lines come a moment after the colours
+            across = page.pixels([(at[0] + k / 2, at[1]) for k in range(-6, 7)])
+            if has_line([sum(pixel) for pixel in across]):
+                break
+        else:
+            self.fail(f"no line: {across}")
         self.room.unreached = 0.01
         self.room.touch()
         page.wait("document.querySelector('#classes .sure').textContent == '90 %'", "no certainty")
