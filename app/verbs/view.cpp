@@ -288,8 +288,8 @@ class ViewedRun {
     for (std::size_t i = 0; i * columns < share.size(); ++i) {
       const PixelPlace at = strided_place(static_cast<std::int64_t>(i), evidence.width_px, stride);
       const std::int32_t id = ids[static_cast<std::size_t>(std::int64_t{at.row} * frame.width_px + at.column)];
-      share[i * columns + static_cast<std::size_t>(std::lower_bound(known.begin(), known.end(), id) - known.begin())] =
-          1;
+      const auto column = std::lower_bound(known.begin(), known.end(), id) - known.begin();
+      share[i * columns + static_cast<std::size_t>(column)] = 1;
     }
     evidence.probability = share;
     return labels_on_photo(evidence, rgb, frame.width_px, frame.height_px).label;
