@@ -323,23 +323,30 @@ void find_in_density(RunSurface& found, const Session& s, const std::string& run
 // At most so many faces, and smooth borders. Those are cut last, for a cut border has two sides that collapses would
 // pull apart; so what the cuts will add is taken away before.
 void finish(Surface& surface, std::optional<long long> faces, const ObjectSet* objects, const SurfaceNews& news) {
+  const auto cut = [&](Surface& whole) {
+    if (objects != nullptr) whole.attributes.instance = objects->at(whole.positions);
+    smooth_borders(whole);
+    return whole.triangles.size();
+  };
+  if (!faces) {
+    cut(surface);
+    return;
+  }
   const std::size_t before = surface.triangles.size();
-  const auto most = static_cast<std::size_t>(faces.value_or(static_cast<long long>(before)));
+  const auto most = static_cast<std::size_t>(*faces);
   for (std::size_t wanted = most;;) {
-    if (faces) simplify(surface, wanted);
-    Surface cut = surface;
-    if (objects != nullptr) cut.attributes.instance = objects->at(cut.positions);
-    smooth_borders(cut);
-    const std::size_t left = cut.triangles.size();
-    const bool is_least = surface.triangles.size() > wanted;
-    if (!faces || left <= most || is_least) {
-      surface = std::move(cut);
-      if (faces && left < before)
-        say(news, fmt::format("{} of {} faces are left{}", left, before,
-                              left > most ? ": fewer would tear the surface or turn faces over" : ""));
-      return;
+    simplify(surface, wanted);
+    Surface whole = surface;
+    const std::size_t left = cut(whole);
+    if (left > most && surface.triangles.size() <= wanted) {
+      wanted = std::min(wanted - 1, wanted * most / left);
+      continue;
     }
-    wanted = std::min(wanted - 1, wanted * most / left);
+    surface = std::move(whole);
+    if (left < before)
+      say(news, fmt::format("{} of {} faces are left{}", left, before,
+                            left > most ? ": fewer would tear the surface or turn faces over" : ""));
+    return;
   }
 }
 

@@ -33,6 +33,7 @@
 #include "eval/image_output.h"
 #include "eval/photo_edges.h"
 #include "eval/report/report.h"
+#include "surface/mesh/mesh_files.h"
 #include "train/opened_run.h"
 #include "train/run_folder.h"
 
@@ -264,19 +265,14 @@ class ViewedRun {
   std::vector<std::int16_t> objects_seen(const RayCamera& camera, const RenderedFrame& frame,
                                          std::span<const std::uint8_t> rgb) const {
     constexpr double kMostShares = 1.6e7;
-    std::vector<Vec3d> places(frame.opacity.size());
-    for (std::size_t i = 0; i < places.size(); ++i) {
-      const PixelPlace at = strided_place(static_cast<std::int64_t>(i), frame.width_px, 1);
-      const double z = frame.opacity[i] < kSurfaceOpacity ? NAN : double{frame.depth_m[i] / frame.opacity[i]};
-      places[i] = camera.world_from_camera.apply(Vec3d{(at.column + 0.5 - camera.camera.cx) / camera.camera.fx,
-                                                       (at.row + 0.5 - camera.camera.cy) / camera.camera.fy, 1} *
-                                                 z);
-    }
-    std::vector<std::int32_t> ids(places.size(), 0);
+    const SeenPixels pixels = seen_pixels(camera, frame, kSurfaceOpacity);
+    std::vector<std::int32_t> ids(pixels.place.size(), 0);
     {
       const std::scoped_lock lock(page_lock_);
-      if (page_.objects) ids = page_.objects->at(places);
+      if (page_.objects) ids = page_.objects->at(pixels.place);
     }
+    for (std::size_t i = 0; i < ids.size(); ++i)
+      if (pixels.seen[i] == 0) ids[i] = 0;
     std::vector<std::int16_t> known(ids.begin(), ids.end());
     std::sort(known.begin(), known.end());
     known.erase(std::unique(known.begin(), known.end()), known.end());
