@@ -55,9 +55,9 @@ extern "C" void on_stop(int number) {
   }
   // Who presses Ctrl-C twice has mostly not seen an answer yet, and does not mean to lose what is being saved.
   constexpr int kAtOnce = 3;
-  if (g_asked < kAtOnce) return tell("\nstill stopping: what was done is being saved; once more ends without that\n");
+  if (g_asked < kAtOnce) return tell("\nstill saving; press Ctrl-C again to end without saving\n");
   // What is on disk is whole at every moment, so the process may end here.
-  tell("\nended at once; what was saved before is whole\n");
+  tell("\nended without saving; everything saved before is intact\n");
   remove_own_temporaries();
   _exit(128 + number);
 }

@@ -169,7 +169,7 @@ class TensorFileReader {
     } catch (const Error& error) {
       fail("the header is " + error.message());
     }
-    if (!duplicate.empty()) fail(fmt::format("the key '{}' stands twice in the header", duplicate));
+    if (!duplicate.empty()) fail(fmt::format("the key '{}' occurs twice in the header", duplicate));
     if (!json_.is_object()) fail("the header is not a JSON object");
   }
 

@@ -83,7 +83,7 @@ std::vector<LabelEvent> parse_click_log(std::string_view text, const std::string
   }
   if (whole < text.size()) {
     diagnostics.warning("labels.clicks.torn", name + ":" + std::to_string(events.size() + 1),
-                        "the last line is torn, as a kill leaves an event that was not yet acknowledged; it is dropped",
+                        "the last line is incomplete, as after a kill in the middle of an event; it is dropped",
                         "check the last click");
   }
   return events;

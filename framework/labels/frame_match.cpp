@@ -77,7 +77,7 @@ void report_strays(const std::vector<std::string>& strays, std::size_t all, cons
     diagnostics.note("labels.frame.unmatched", source, message);
   } else {
     diagnostics.warning("labels.frame.unmatched", source, message,
-                        "give them the names of the frames' images, without what a tool added before or behind");
+                        "name them after the frames' images, without a prefix or suffix that a tool added");
   }
 }
 
@@ -263,14 +263,13 @@ std::map<std::string, std::size_t> match_frames(const std::vector<PictureName>& 
   if (elsewhere.empty()) return out;
   const std::string told =
       std::to_string(elsewhere.size()) +
-      " pictures lie in folders of other names than the frames' images, and were taken for them by "
-      "the names of the files alone: " +
+      " pictures are in folders with other names than those of the images, and were matched by file name alone: " +
       elsewhere.front() + (elsewhere.size() > 1 ? ", ..." : "");
   if (matching.folders_tell_nothing()) {
     diagnostics.note("labels.frame.folder", source, told);
   } else {
     diagnostics.warning("labels.frame.folder", source, told,
-                        "check that they are the same pictures, and name their folders as those of the images");
+                        "check that they are the same pictures, and name their folders like those of the images");
   }
   return out;
 }
@@ -313,7 +312,7 @@ std::map<std::string, std::string> match_files(const std::string& folder, const 
   ProblemList problems(diagnostics);
   const auto ambiguous = [&](const std::string& path, const std::string& a, const std::string& b) {
     problems.error("labels.frame.ambiguous", "'" + path + "'", "may be labels of '" + a + "' or of '" + b + "'",
-                   "put label files into folders that are called as those of the images");
+                   "put label files into folders named like those of the images");
   };
   for (const auto& [path, of] : frames_of)
     if (of.size() > 1) ambiguous(path, of[0]->source, of[1]->source);

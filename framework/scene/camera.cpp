@@ -276,7 +276,7 @@ Json json_of(const PlacedCamera& placed) {
 [[noreturn]] void refuse(const std::string& path, const std::string& what) {
   throw Error(
       ErrorKind::data, "render.cameras.format", path + ": " + what,
-      "give a cameras.json as `semfield render` writes it, or a text file with a camera-to-world matrix a line");
+      "give a cameras.json as `semfield render` writes it, or a text file with a camera-to-world matrix per line");
 }
 
 // One camera of a file; nothing where something of it is wrong, which goes to the diagnostics.
@@ -498,13 +498,13 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     if (row.size() != 16 && row.size() != 12 && row.size() != 4)
       throw Error(ErrorKind::data, "render.path.format",
                   fmt::format("{}: expected 4, 12 or 16 numbers, got '{}'", place, line.substr(0, 80)),
-                  "write one camera-to-world matrix a line, or one matrix row a line");
+                  "write one camera-to-world matrix per line, or one matrix row per line");
     rows.push_back(std::move(row));
     places.push_back(place);
   }
   if (rows.empty())
     throw Error(ErrorKind::data, "render.path.empty", path + ": holds no pose",
-                "write one camera-to-world matrix a line");
+                "write one camera-to-world matrix per line");
   std::size_t per_pose = 1;
   if (rows[0].size() == 4) per_pose = rows.size() >= 4 && rows[3] == std::vector<double>{0, 0, 0, 1} ? 4 : 3;
   if (rows.size() % per_pose != 0)
@@ -516,7 +516,7 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
     std::vector<double> m;
     for (std::size_t k = 0; k < per_pose; ++k) m.insert(m.end(), rows[i + k].begin(), rows[i + k].end());
     if (m.size() != 12 && m.size() != 16)
-      throw Error(ErrorKind::data, "render.path.format", places[i] + ": expected 12 or 16 numbers a pose",
+      throw Error(ErrorKind::data, "render.path.format", places[i] + ": expected 12 or 16 numbers per pose",
                   "write all poses of a file in the same form");
     poses.push_back(pose_of(m, places[i], axes));
   }

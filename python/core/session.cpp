@@ -555,7 +555,7 @@ void define_session(py::module_& module) {
       .def_property_readonly("run_dir", &PyRun::run_dir,
                              "The run's folder, or the one it was saved in last; \"\" for neither.")
       .def_property_readonly("notes", &PyRun::notes,
-                             "What opening and training had to say: findings, and what was chosen from the scene.")
+                             "Messages of opening and training: findings, and what was chosen from the scene.")
       .def_property_readonly("history", &PyRun::history,
                              "Rows of training as metrics.jsonl has them, those of this object's steps.")
       .def_property_readonly("config", &PyRun::config, "The resolved configuration: every parameter.")

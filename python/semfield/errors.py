@@ -1,4 +1,4 @@
-"""Exceptions of Semfield. Every message names what, where and why; `findings` has each problem of its own."""
+"""Exceptions of Semfield. Every message names what, where and why; `findings` lists each problem."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Error(Exception):
 
 
 class UsageError(Error, ValueError):
-    """A call asks for something that cannot be."""
+    """The arguments of a call do not fit."""
 
 
 class ConfigError(Error, ValueError):
@@ -55,11 +55,11 @@ class DataError(Error, ValueError):
 
 
 class InputError(Error, FileNotFoundError):
-    """A file or a folder is not there."""
+    """A file or a folder is missing."""
 
 
 class UnavailableError(Error):
-    """A plugin, a device or a library is not there."""
+    """A plugin, a device or a library is missing."""
 
 
 class WriteError(Error, OSError):

@@ -22,7 +22,7 @@ Array = np.ndarray[Any, Any]
 
 
 class CommandError(Error):
-    """A verb that ended with another code than 0; `stderr` is what it said."""
+    """A verb failed; `stderr` has its messages."""
 
     stderr: str = ""
 

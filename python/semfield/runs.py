@@ -137,7 +137,7 @@ class Outcome:
         train_s: seconds of training.
         scores: figures of the test frames; empty without any.
         scored: which part of them was scored.
-        notes: what the run had to say.
+        notes: messages of the run.
     """
 
     run_dir: str
@@ -297,7 +297,7 @@ class Run(_core.Run):
         self._scene: Optional[Scene] = _temporary.get(str(self.config["scene"].get("file", "")))
 
     def close(self) -> None:
-        """Gives back memory and the folder's lock; the run is of no use afterwards. Also at the end of ``with``."""
+        """Gives back memory and the folder's lock; the run cannot be used afterwards. Also at the end of ``with``."""
         self._close()
         self._scene = None
 

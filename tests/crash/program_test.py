@@ -243,8 +243,8 @@ class Program(ProgramCase):
             process.send(signal.SIGINT)
             err = self.ended(process.wait(HANG_S), 130, *(
                 ("after its checkpoint; resume with `semfield train --resume ", "stopped at step",
-                 "still stopping: what was done is being saved; once more ends without that\n") if signals == 2 else
-                ("ended at once; what was saved before is whole\n",))).err
+                 "still saving; press Ctrl-C again to end without saving\n") if signals == 2 else
+                ("ended without saving; everything saved before is intact\n",))).err
             self.assertEqual("stopped at step" in err, signals == 2)
             self.assertEqual(self.latest() == latest, signals == 3, "was the step waited for")
             tensors(self.run_dir)  # sound

@@ -570,7 +570,7 @@ TEST_F(ClickLogOfOne, KeepsWhatIsAppended) {
 
 TEST(ClickLog, CutsATornLineAndSaysSo) {
   const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
-  const std::string whole = line("1") + line("2"), said = ":3: the last line is torn";
+  const std::string whole = line("1") + line("2"), said = ":3: the last line is incomplete";
   for (const std::string& torn : {line("3").substr(0, 1), line("3").substr(0, line("3").size() - 1),
                                   std::string(5, '\0'), line("3").substr(0, 9) + std::string(7, '\0') + "\"}\n"}) {
     testing_room::plain_write(path, whole + torn);

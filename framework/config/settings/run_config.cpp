@@ -26,17 +26,17 @@ void each_section(Config& config, Fn&& section) {
   section("semantics", "the semantic head and its loss", config.semantics);
   section("rendering", "fixed rules of volume rendering", config.rendering);
   section("train", "length and batches of the run", config.train);
-  section("train.cameras", "what is believed of training cameras", config.cameras);
+  section("train.cameras", "corrections of training cameras", config.cameras);
   section("train.adam", "optimiser [Kingma15]", config.adam);
   section("train.schedule", "learning rate over the steps", config.schedule);
   section("train.self_training", "labels that the field gives to unlabelled training pixels", config.self_training);
   section("runtime", "device, threads, seed and exact savings", config.runtime);
-  section("report", "what is measured and kept while training", config.report);
+  section("report", "what a run measures and stores", config.report);
   section("fuse", "labels of several views combined by `semfield labels fuse`", config.fuse);
   section("propagate", "labels spread over a run's surface by `semfield labels propagate`", config.propagate);
-  section("objects", "objects of segments of images, found by `semfield objects`", config.objects);
-  section("objects.damage", "what is done to segments before, for evaluations", config.segment_damage);
-  section("limits", "how large inputs may be; what is larger is refused", config.limits);
+  section("objects", "objects that `semfield objects` finds from segments of images", config.objects);
+  section("objects.damage", "damage to the segments, for experiments", config.segment_damage);
+  section("limits", "largest inputs; larger ones are refused", config.limits);
 }
 
 // Keys that are no parameters of a section, besides the sections themselves.

@@ -50,9 +50,9 @@ inline void describe(ParamVisitor& visit, FusionParams& p) {
                  {0, 1e12});
   SEMFIELD_PARAM(visit, p, relative_tolerance, "share of the point's depth that is added to tolerance", {0, 1});
   SEMFIELD_PARAM(visit, p, floor, "bayesian: least probability of a class in one view", {1e-12, 0.5});
-  SEMFIELD_PARAM(visit, p, views, "other views asked for each frame; 0: all", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, views, "other views used for each frame; 0: all", {0, 1e6});
   SEMFIELD_PARAM(visit, p, choose,
-                 "which views are asked when `views` is not 0: those of the nearest cameras, or evenly spaced frames");
+                 "which views are used when `views` is not 0: those of the nearest cameras, or evenly spaced frames");
   SEMFIELD_PARAM(
       visit, p, neighbourhood,
       "side of the window of pixels whose predictions are averaged in another view; odd; 1: the nearest pixel",
@@ -120,15 +120,16 @@ inline void describe(ParamVisitor& visit, ObjectsParams& p) {
                  "octaves of sines of a position that the network reads, the lowest as long as the scene", {0, 16});
   SEMFIELD_PARAM(visit, p, hidden_width, "units of a hidden layer", {4, 512});
   SEMFIELD_PARAM(visit, p, hidden_layers, "hidden layers of the network", {1, 8});
-  SEMFIELD_PARAM(visit, p, rays, "rays of all training views together that look for the surface", {1000, 1e9});
-  SEMFIELD_PARAM(visit, p, points, "points that stand for the surface, about; cells are sized for it", {100, 1e7});
+  SEMFIELD_PARAM(visit, p, rays, "rays, over all training views, that find the surface", {1000, 1e9});
+  SEMFIELD_PARAM(visit, p, points, "about how many points represent the surface; cells are sized for it", {100, 1e7});
   SEMFIELD_PARAM(visit, p, reach, "distance within which segments are of one object, in the units of the method",
                  {1e-3, 1e3});
-  SEMFIELD_PARAM(visit, p, neighbours, "segments within reach that make a segment the inside of a cluster", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, neighbours, "segments within reach that make a segment part of a cluster's core", {1, 1e6});
   SEMFIELD_PARAM(visit, p, agree,
-                 "share of the sights of two groups of points in one segment from which they are one object", {0, 1});
-  SEMFIELD_PARAM(visit, p, least_views, "views that see two groups, from which their segments decide", {1, 1e6});
-  SEMFIELD_PARAM(visit, p, least_points, "points of an object; what is smaller is none", {1, 1e9});
+                 "two groups of points are one object if at least this share of the views has them in one segment",
+                 {0, 1});
+  SEMFIELD_PARAM(visit, p, least_views, "views that must see two groups before their segments decide", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, least_points, "fewest points of an object; smaller ones are dropped", {1, 1e9});
   SEMFIELD_PARAM(visit, p, stuff, "names of classes that have no objects");
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value of this phase");
 }

@@ -79,8 +79,8 @@ double fallen(ScheduleKind kind, double from, double factor, double progress) {
 
 void describe(ParamVisitor& visit, AdamParams& params) {
   SEMFIELD_PARAM(visit, params, learning_rate, "Step size of the first update [Kingma15 alpha]", {0, 1});
-  SEMFIELD_PARAM(visit, params, beta1, "Decay of the gradient's mean a step [Kingma15]", {0, 0.999999});
-  SEMFIELD_PARAM(visit, params, beta2, "Decay of the squared gradient's mean a step [Kingma15]", {0, 0.99999999});
+  SEMFIELD_PARAM(visit, params, beta1, "Decay of the gradient's mean per step [Kingma15]", {0, 0.999999});
+  SEMFIELD_PARAM(visit, params, beta2, "Decay of the squared gradient's mean per step [Kingma15]", {0, 0.99999999});
   SEMFIELD_PARAM(visit, params, epsilon, "Added to the root of the squared mean, against division by zero [Kingma15]",
                  {1e-30, 1});
 }

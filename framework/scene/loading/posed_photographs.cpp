@@ -400,7 +400,7 @@ void FrameMasks::report(Diagnostics& diagnostics) const {
     if (images.size() < 2) continue;
     diagnostics.error("scene.mask.ambiguous", "'" + file + "'",
                       "is the mask of '" + images[0] + "' and of '" + images[1] + "' by its name",
-                      "put masks into folders called as those of the images");
+                      "put masks into folders named like those of the images");
     break;
   }
   if (found_ == 0) {
@@ -511,8 +511,7 @@ void PosedPhotographs::require(std::initializer_list<const char*> parts, const s
   for (const char* part : parts) {
     const fs::path path = *part == '\0' ? fs::path(root_) : fs::path(root_) / part;
     if (is_there(path)) continue;
-    throw Error(ErrorKind::no_input, "files.folder.missing",
-                "'" + path.string() + "' is missing, which " + app + " writes",
+    throw Error(ErrorKind::no_input, "files.folder.missing", "'" + path.string() + "' is missing; it is part of " + app,
                 "check scene.root; it names the folder of one export");
   }
 }

@@ -123,7 +123,7 @@ std::string recognise(const std::string& path, Record3dParams& p) {
 }
 
 SceneInfo find_photographs(const Record3dParams&, PosedPhotographs& files, Diagnostics& diagnostics) {
-  files.require({"", "rgb", kMetadata}, "Record3D");
+  files.require({"", "rgb", kMetadata}, "an export of Record3D");
   const fs::path root(files.root());
   const std::string path = (root / kMetadata).string();
   const Recording recording = read_recording(path, diagnostics);

@@ -247,7 +247,7 @@ class Replica {
                                      : fmt::format(" and the text '{}'", bad.substr(0, 40));
         diagnostics.error("scene.pose.format", place,
                           fmt::format("expected 16 numbers, got {}{}", numbers.size(), more),
-                          "write one camera-to-world matrix a line, row by row");
+                          "write one camera-to-world matrix per line, row by row");
         continue;
       }
       const Split split = split_of(number);
@@ -296,7 +296,7 @@ class Replica {
       return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
     diagnostics.error(
         "scene.pose.count", trajectory, sentence,
-        "write one pose a line for every image, or leave out what has none with --set scene.missing=skip");
+        "write one pose per line for every image, or leave out what has none with --set scene.missing=skip");
   }
 
   FrameFiles files_of(int number, Split split) const {

@@ -91,7 +91,7 @@ std::string recognise(const std::string& path, StrayScannerParams& p) {
 }
 
 SceneInfo find_photographs(const StrayScannerParams&, PosedPhotographs& files, Diagnostics& diagnostics) {
-  files.require({"", "odometry.csv", "camera_matrix.csv"}, "Stray Scanner");
+  files.require({"", "odometry.csv", "camera_matrix.csv"}, "a recording of Stray Scanner");
   const fs::path root(files.root());
   const std::map<std::int64_t, std::string> images = numbered_photographs((root / "rgb").string(), diagnostics);
   if (images.empty() && !diagnostics.has_errors())

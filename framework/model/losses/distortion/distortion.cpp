@@ -10,7 +10,7 @@ void describe(ParamVisitor& visit, DistortionParams& p) {
 
 SEMFIELD_PLUGIN_MODULE(distortion, "1.0", [](Registry& registry) {
   registry.add_loss<DistortionLoss>(
-      "distortion", "light of a ray comes from one place [Barron22, Eq. 15]; begun early it condenses fog",
+      "distortion", "light of a ray comes from one place [Barron22, Eq. 15]; too early, it condenses fog",
       "two walks along each ray and the gradient of its weights");
 })
 

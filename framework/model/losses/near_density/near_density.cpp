@@ -12,7 +12,7 @@ void describe(ParamVisitor& visit, NearDensityParams& p) {
 
 SEMFIELD_PLUGIN_MODULE(near_density, "1.0", [](Registry& registry) {
   registry.add_loss<NearDensityLoss>(
-      "near_density", "what lies right in front of a camera is empty [Yang23]; begun early it can end all density",
+      "near_density", "space in front of a camera is empty [Yang23]; too early, it can remove all density",
       "a gradient per sample");
 })
 

@@ -76,7 +76,7 @@ void check_frames(const SceneInfo& info) {
   Diagnostics found;
   if (info.frames.size() < kFewestFrames)
     found.error("capture.photographs.few", info.name,
-                fmt::format("{} frames are too few to fix cameras by", info.frames.size()),
+                fmt::format("{} frames are too few to fix cameras", info.frames.size()),
                 "take at least 20, each sharing two thirds of what the one before shows");
   for (const FrameInfo& frame : info.frames) {
     if (frame.camera.lens == LensKind::equirectangular)
@@ -299,8 +299,8 @@ class Fixing {
     out.depth_from_color = bundle_.depth_from_color;
     out.depth_cameras = bundle_.stated;
     out.changes.push_back(
-        fmt::format("depth is of a camera of its own, {:.3g} {} from the colours' and turned by {:.2f} degrees, with "
-                    "the lens that was stated",
+        fmt::format("depth has its own camera, {:.3g} {} from the colour camera and turned by {:.2f} degrees, with the "
+                    "lens that was stated",
                     length(bundle_.depth_from_color.t), unit(), angle_deg(Pose{}, bundle_.depth_from_color)));
   }
 

@@ -365,8 +365,8 @@ double seconds_of(const std::string& video, const std::string& log, const Progra
     std::ifstream(video).read(begin.data(), std::ssize(begin));
     if (log_text(log).find("not on whitelist") == std::string::npos && begin != "#EXTM3U") throw;
     throw Error(ErrorKind::data, "capture.video.format",
-                "'" + video + "' is no film in one file: " + last_lines(log, 1),
-                "convert it to .mp4 yourself, where you trust what it names");
+                "'" + video + "' is not a film in a single file: " + last_lines(log, 1),
+                "if you trust the files that it names, convert it to .mp4");
   }
   const std::string text = log_text(log);
   const std::size_t begin = text.find('{');
