@@ -231,14 +231,14 @@ FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
 FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame) {
   const SegmentJson root = read_label_json<SegmentJson>(path, "write the segments again");
   const SegmentJson& list = root.is_array() ? root : member(root, "annotations", path);
-  if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
+  if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is not a list");
   std::int64_t width = frame.camera.width_px, height = frame.camera.height_px;
   for (const SegmentJson& item : list) {
     const auto found = item.is_object() ? item.find("segmentation") : item.end();
     if (!item.is_object() || found == item.end() || !found->is_object()) continue;
     const SegmentJson& size = member(*found, "size", path);
     if (!size.is_array() || size.size() != 2 || !size[0].is_number_integer() || !size[1].is_number_integer())
-      refuse_labels("labels.run_lengths.damaged", path, "'size' is no pair of whole numbers");
+      refuse_labels("labels.run_lengths.damaged", path, "'size' is not a pair of whole numbers");
     height = size[0].get<std::int64_t>();
     width = size[1].get<std::int64_t>();
     break;
@@ -284,7 +284,7 @@ FrameSegments segments_of_colors(const std::string& path, const SegmentJson& ann
   for (const SegmentJson& segment : member(annotation, "segments_info", place)) {
     const std::int64_t id = whole_of(segment, "id", place);
     if (id < 0 || id >= 1 << 24)
-      refuse_labels("labels.file.format", place, "segment " + std::to_string(id) + " is no colour of an image",
+      refuse_labels("labels.file.format", place, "segment " + std::to_string(id) + " is not a colour of an image",
                     "write ids from 0 to 16777215: R + 256 G + 65536 B");
     if (const std::int16_t index = class_of(segment, classes); index != kVoid)
       out.class_of[static_cast<std::int32_t>(id)] = index;
@@ -323,7 +323,7 @@ class Reading {
   void file(const std::string& path) {
     const SegmentJson root = read_label_json<SegmentJson>(path, "write the segments again");
     const SegmentJson& list = member(root, "annotations", path);
-    if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
+    if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is not a list");
     const std::map<std::int64_t, std::int16_t> classes = classes_of_categories(root, info_.classes, path);
     const bool panoptic = !list.empty() && list[0].is_object() && list[0].contains("segments_info");
     if (panoptic) {

@@ -55,7 +55,8 @@ BANNED = [
     (r"\b(?:go|goes|going|went) on\b", "continue"),
     (r"\bshall\b", "should, must"),
     (r"\b(?:at hand|by means of|not before long|in the first line|so to speak|what else|of which many|of whom many)\b|\bthe one with the\b.*\bthe other with\b", "plain words"),
-    (r"\bis no (?:part|change|clicks?|session|software|run)\b(?! folder)", "is not a"),
+    (r"\bis no (?:axis|change|clicks?|colour|direction|file of|film|grid|JSON|list|pair|part|run|session|software)\b(?! folder)", "is not a"),
+    (r"\b(?:matrix|row|pose) an? (?:line|pose)\b|\brights of (?:others|somebody)\b|\bformat of the ending\b|\b(?:believed|thought) of\b|\bcalled as\b", "per line; licence; extension"),
 ]
 
 METRIC = r"(?:PSNR|mIoU|SSIM|AbsRel|AUROC|ECE|accuracy|PQ(?:-scene)?|mCov)"

@@ -46,7 +46,7 @@ inline void describe(ParamVisitor& visit, FusionParams& p) {
                  {0.01, 1});
   SEMFIELD_PARAM(visit, p, tolerance,
                  "length by which the depth of a point and of a view may differ; beyond it the point is hidden; 0: "
-                 "1 cm, or 1/500 of the longest side of a scene that is no room in metres",
+                 "1 cm, or 1/500 of the longest side without a metric scale",
                  {0, 1e12});
   SEMFIELD_PARAM(visit, p, relative_tolerance, "share of the point's depth that is added to tolerance", {0, 1});
   SEMFIELD_PARAM(visit, p, floor, "bayesian: least probability of a class in one view", {1e-12, 0.5});
@@ -188,7 +188,7 @@ inline void describe(ParamVisitor& visit, PropagationParams& p) {
                  {0, 1});
   SEMFIELD_PARAM(visit, p, vote_cells_m,
                  "vote: edges of cells, ascending; the first with enough votes counts; []: 0.06, 0.12 and 0.2 m, or "
-                 "1.2 %, 2.4 % and 4 % of the longest side of a scene that is no room in metres",
+                 "1.2 %, 2.4 % and 4 % of the longest side without a metric scale",
                  {1e-12, 1e12});
   SEMFIELD_PARAM(visit, p, least_votes, "vote: how many votes are enough; the largest cell takes what there is",
                  {1, 1e9});

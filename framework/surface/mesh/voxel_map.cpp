@@ -297,7 +297,7 @@ Upright upright_axis(Vec3d up) {
   for (int axis = 0; axis < 3; ++axis)
     if (std::abs(std::abs(up[axis]) - 1) < 1e-9) return {axis, up[axis] < 0};
   throw Error(ErrorKind::usage, "handover.costmap.up",
-              fmt::format("up is {:.3f} {:.3f} {:.3f}, which is no axis of the world, and a map lies along its axes",
+              fmt::format("up is {:.3f} {:.3f} {:.3f}, which is not an axis of the world, but maps follow its axes",
                           up.x, up.y, up.z),
               "name one with --up, or turn the scene upright when it is made");
 }

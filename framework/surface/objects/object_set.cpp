@@ -201,7 +201,7 @@ ObjectSet read_object_set(const std::string& path, int classes) {
   if (file.find("up") != nullptr) {  // earlier versions wrote none
     const auto up = numbers_of<double>(file, "up", 3, -1.0, 1.0);
     set.up = Vec3d{up[0], up[1], up[2]};
-    if (!(std::abs(length(*set.up) - 1) < 1e-6)) refuse(path, "'up' is no direction");
+    if (!(std::abs(length(*set.up) - 1) < 1e-6)) refuse(path, "'up' is not a unit vector");
   }
   measure_objects(set.rows, set.position, set.id, cell, set.up);
   return set;
@@ -731,7 +731,7 @@ class Editing {
 
 ObjectEdit parse_object_edit(std::string_view json, const std::string& where) {
   const OrderedJson root = OrderedJson::parse(json, nullptr, false);
-  if (root.is_discarded()) refuse_edit(where + ": it is no JSON", "give a map");
+  if (root.is_discarded()) refuse_edit(where + ": it is not JSON", "give a map");
   return edit_of(root, where);
 }
 
@@ -741,7 +741,7 @@ ObjectEdits read_object_edits(const std::string& path) {
   const OrderedJson root = OrderedJson::parse(read_text_file(path), nullptr, false);
   if (!root.is_object() || !root.contains("objects") || !root["objects"].is_string() || !root.contains("edits") ||
       !root["edits"].is_array())
-    refuse_edit(path + ": it is no file of edits", "put an earlier one in its place, or remove it");
+    refuse_edit(path + ": it is not a file of edits", "put an earlier one in its place, or remove it");
   out.digest = root["objects"].get<std::string>();
   for (const OrderedJson& one : root["edits"])
     out.edits.push_back(edit_of(one, fmt::format("{}: edit {}", path, out.edits.size() + 1)));

@@ -430,7 +430,7 @@ class FileReader {
         if (!name.second) unmatched.push_back(name.first);
       if (unmatched.empty()) continue;
       diagnostics_.error("scene.split.unknown", path_,
-                         fmt::format("{} of {} names of '{}' are no frame's, such as '{}'", unmatched.size(),
+                         fmt::format("{} of {} names in '{}' fit no frame, such as '{}'", unmatched.size(),
                                      list->names.size(), list->key, *std::ranges::min_element(unmatched)),
                          "write each as the 'file_path' of its frame");
     }
