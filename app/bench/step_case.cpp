@@ -84,7 +84,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) {
 
   std::int64_t per_ray = 0, all = 0;
   for (const Pass<float>& pass : session_.pipeline->passes()) {
-    per_ray = pass.capacity_per_ray(per_ray);
+    per_ray = pass.capacity_per_ray(per_ray, true);
     all += per_ray;
   }
   samples_last_ = per_ray * options.rays;

@@ -761,7 +761,7 @@ void StreamExecutor::render(const RenderJob<float>& job) {
       const Workspace::Scope chunk(render_arena_);
       StepContext ctx = context(0, false, render_arena_);
       ctx.first_ray = begin;
-      render_rays(passes_, host_.per_ray(), job.rows(begin, count), ctx);
+      render_rays(passes_, host_.rendered_per_ray(), job.rows(begin, count), ctx);
       synchronize();
     } catch (const Error& error) {
       if (error.kind() != ErrorKind::unavailable || chunk_rays_ <= kFewestRays) throw;

@@ -312,7 +312,7 @@ void LaneExecutor<Real>::render(const RenderJob<Real>& job) {
   arenas_.for_units((rays + unit - 1) / unit, [&](Workspace& arena, std::int64_t number) {
     const std::int64_t begin = number * unit;
     const Workspace::Scope scratch(arena);
-    render_rays(passes(), pipeline_.per_ray(), job.rows(begin, std::min(unit, rays - begin)),
+    render_rays(passes(), pipeline_.rendered_per_ray(), job.rows(begin, std::min(unit, rays - begin)),
                 context(0, false, begin, arena));
   });
 }

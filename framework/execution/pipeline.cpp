@@ -46,10 +46,10 @@ std::int64_t lane_numbers(const PassParts<Real>& parts) {
 
 /// Most samples per ray after each pass.
 template <class Real>
-std::vector<std::int64_t> samples_per_ray(const std::vector<PassParts<Real>>& passes) {
+std::vector<std::int64_t> samples_per_ray(const std::vector<PassParts<Real>>& passes, bool training) {
   std::vector<std::int64_t> per_ray;
   for (const PassParts<Real>& parts : passes)
-    per_ray.push_back(parts.sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
+    per_ray.push_back(parts.sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back(), training));
   return per_ray;
 }
 
@@ -58,7 +58,7 @@ std::vector<std::int64_t> samples_per_ray(const std::vector<PassParts<Real>>& pa
 template <class Real>
 PipelineOptions settled(PipelineOptions options, const std::vector<PassParts<Real>>& passes) {
   SEMFIELD_CHECK(!passes.empty(), "a pipeline needs a pass");
-  const std::vector<std::int64_t> per_ray = samples_per_ray(passes);
+  const std::vector<std::int64_t> per_ray = samples_per_ray(passes, true);
   const std::int64_t most = passes.back().sampler->traits().single_pass
                                 ? std::min(per_ray.back(), kExpectedOccupied)
                                 : *std::max_element(per_ray.begin(), per_ray.end());
@@ -78,7 +78,8 @@ PipelineOptions settled(PipelineOptions options, const std::vector<PassParts<Rea
 
 template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
-    : per_ray_(samples_per_ray(passes)),
+    : per_ray_(samples_per_ray(passes, true)),
+      rendered_per_ray_(samples_per_ray(passes, false)),
       options_(settled(std::move(options), passes)),
       store_(options_.seed, options_.lanes, trainable) {
   passes_.reserve(passes.size());

@@ -58,6 +58,7 @@ class Pipeline {
   const PipelineOptions& options() const { return options_; }
   /// Most samples per ray after each pass.
   const std::vector<std::int64_t>& per_ray() const { return per_ray_; }
+  const std::vector<std::int64_t>& rendered_per_ray() const { return rendered_per_ray_; }
   /// Of the CPU's lanes.
   std::int64_t tile_rays() const { return options_.tile_rays; }
   /// Of training; null where nothing is corrected.
@@ -81,7 +82,7 @@ class Pipeline {
   std::string suspect_tensor() const;
 
  private:
-  std::vector<std::int64_t> per_ray_;
+  std::vector<std::int64_t> per_ray_, rendered_per_ray_;
   PipelineOptions options_;
   ParamStore<Real> store_;
   std::vector<Pass<Real>> passes_;

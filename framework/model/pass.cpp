@@ -74,10 +74,10 @@ PassTrace<Real> Pass<Real>::forward(const StepContext& ctx, int lane, const Rays
                                     const PassRequest& request) const {
   Workspace& arena = *ctx.workspace;
   const std::int64_t ray_count = rays.origin.rows;
-  std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray);
+  std::int64_t capacity = parts_.sampler->capacity(ray_count, previous_per_ray, ctx.training);
   if (request.room > 0) capacity = std::min(capacity, request.room);
   SampledTile<Real> tile;
-  tile.per_ray = capacity_per_ray(previous_per_ray);
+  tile.per_ray = capacity_per_ray(previous_per_ray, ctx.training);
   tile.samples.t = arena.take<Real>(capacity, 1);
   tile.samples.delta = arena.take<Real>(capacity, 1);
   tile.samples.ray_of_sample = arena.take<std::int32_t>(capacity, 1);

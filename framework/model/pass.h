@@ -136,8 +136,8 @@ class Pass {
   const PassParts<Real>& parts() const { return parts_; }
   const RenderRules& rules() const { return rules_; }
   /// Most samples per ray.
-  std::int64_t capacity_per_ray(std::int64_t previous_per_ray) const {
-    return parts_.sampler->capacity(1, previous_per_ray);
+  std::int64_t capacity_per_ray(std::int64_t previous_per_ray, bool training) const {
+    return parts_.sampler->capacity(1, previous_per_ray, training);
   }
   bool scatters() const { return encoder_learns_; }
   bool has_branch() const { return branched_.has_value(); }

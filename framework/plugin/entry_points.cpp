@@ -85,7 +85,7 @@ void Sampler<Real>::sample(const StepContext& ctx, const Tensors<Real>& tensors,
   } else if (traits().needs_previous) {
     view_checks::fail(kCall, "this sampler needs the samples of an earlier pass");
   }
-  std::int64_t room = capacity(count, previous_per_ray);
+  std::int64_t room = capacity(count, previous_per_ray, ctx.training);
   if (device != Device::cpu && traits().keeps_to_room) room = std::min(room, out.t.rows);
   view_checks::require_room(kCall, "t", out.t, room, 1, device);
   view_checks::require_room(kCall, "delta", out.delta, room, 1, device);

@@ -59,8 +59,9 @@ template <class Real>
 class Sampler : public Parametric<Real> {
  public:
   virtual SamplerTraits traits() const noexcept = 0;
-  /// Most samples that sample() can give for `rays` rays after a previous pass with at most `previous` samples per ray.
-  virtual std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept = 0;
+  /// Most samples that sample() can give for `rays` rays after a previous pass with at most `previous_per_ray` samples
+  /// per ray, with ctx.training or without it.
+  virtual std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray, bool training) const noexcept = 0;
 
   /// Fills out (views of at least capacity rows, or of fewer: SamplerTraits::keeps_to_room). Random values are
   /// addressed by (ctx.first_ray + ray, sample). Without ctx.training there is no jitter.

@@ -222,8 +222,8 @@ class HostSampler final : public HostTwin<Sampler<float>> {
  public:
   using HostTwin::HostTwin;
   SamplerTraits traits() const noexcept override { return device_.traits(); }
-  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override {
-    return device_.capacity(rays, previous_per_ray);
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray, bool training) const noexcept override {
+    return device_.capacity(rays, previous_per_ray, training);
   }
   void observe(const StepContext&, const Tensors<float>&, const DensityQuery<float>&) const override {
     throw Error(ErrorKind::internal, "internal.sampler.twin", "a sampler's twin on the host does not observe");

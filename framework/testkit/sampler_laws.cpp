@@ -95,7 +95,7 @@ struct SamplerBench : ComponentBench<Real, Sampler> {
     const Sampler<Real>& sampler = this->component;
     const bool needs_previous = sampler.traits().needs_previous;
     EarlierPass<Real> earlier(batch, begin, rays, seed);
-    const std::int64_t room = sampler.capacity(rays, needs_previous ? kProposalSamples : 0);
+    const std::int64_t room = sampler.capacity(rays, needs_previous ? kProposalSamples : 0, this->ctx.training);
     SampleBuffer<Real> out(room, rays);
     this->ctx.first_ray = begin;
     sampler.sample(this->ctx, this->box.values_only(), batch.view<Real>(begin, rays),

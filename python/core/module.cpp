@@ -55,7 +55,7 @@ py::tuple sample(const Sampler<Real>& sampler, const Array<double>& rays, bool t
     before = {view_of(t), view_of(delta), {}, view_of(first), t.size()};
     proposal.weight = view_of(weight);
   }
-  const std::int64_t room = sampler.capacity(all.rows, before.count / all.rows);
+  const std::int64_t room = sampler.capacity(all.rows, before.count / all.rows, training);
   Array<Real> t(room), delta(room);
   Array<std::int32_t> ray(room), first(all.rows + 1);
   out = {view_of(t), view_of(delta), view_of(ray), view_of(first), 0};

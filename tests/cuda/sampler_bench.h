@@ -66,7 +66,8 @@ struct HostProposal {
 /// On the CPU; rows behind the live ones as the device fills them.
 inline HostSamples sample_on_cpu(const Sampler<float>& sampler, const StepContext& ctx, const Tensors<float>& tensors,
                                  const HostRays& rays, HostProposal* previous = nullptr) {
-  const std::int64_t capacity = sampler.capacity(rays.count(), previous == nullptr ? 0 : previous->per_ray);
+  const std::int64_t capacity =
+      sampler.capacity(rays.count(), previous == nullptr ? 0 : previous->per_ray, ctx.training);
   HostSamples out;
   out.t.assign(static_cast<std::size_t>(capacity), 0.F);
   out.delta = out.t;
@@ -96,9 +97,10 @@ inline HostSamples sample_on_cpu(const Sampler<float>& sampler, const StepContex
 /// Inputs and outputs of a sampler in device memory; rows of a stride of `gap` more than their columns.
 class DeviceBatch {
  public:
-  DeviceBatch(const Sampler<float>& sampler, const HostRays& rays, const HostProposal* previous, std::int64_t gap)
+  DeviceBatch(const Sampler<float>& sampler, const HostRays& rays, const HostProposal* previous, std::int64_t gap,
+              bool training = true)
       : sampler_(sampler),
-        capacity_(sampler.capacity(rays.count(), previous == nullptr ? 0 : previous->per_ray)),
+        capacity_(sampler.capacity(rays.count(), previous == nullptr ? 0 : previous->per_ray, training)),
         origin_(rays.origin, 3, 3 + gap),
         direction_(rays.direction, 3, 3 + gap),
         near_far_(rays.near_far, 2, 2 + gap),
@@ -184,7 +186,7 @@ inline std::string compare(const Sampler<float>& cpu, const Sampler<float>& devi
                            const HostRays& rays, HostProposal* previous, std::int64_t gap) {
   DeviceLaunch launch;
   const HostSamples want = sample_on_cpu(cpu, ctx, {}, rays, previous);
-  DeviceBatch batch(device, rays, previous, gap);
+  DeviceBatch batch(device, rays, previous, gap, ctx.training);
   batch.sample(device_context(ctx, launch), {});
   const HostSamples got = batch.read();
   EXPECT_EQ(launch.take_fault(), std::nullopt);

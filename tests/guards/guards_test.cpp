@@ -65,8 +65,8 @@ class PoisonedSampler final : public Sampler<float> {
  public:
   explicit PoisonedSampler(std::unique_ptr<Sampler<float>> inner) : inner_(std::move(inner)) {}
   SamplerTraits traits() const noexcept override { return inner_->traits(); }
-  std::int64_t capacity(std::int64_t rays, std::int64_t previous) const noexcept override {
-    return inner_->capacity(rays, previous);
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous, bool training) const noexcept override {
+    return inner_->capacity(rays, previous, training);
   }
   void declare(ParamDeclarer& d) const override { inner_->declare(d); }
   void derive(const StepContext& ctx, const Tensors<float>& t) const override { inner_->derive(ctx, t); }

@@ -45,7 +45,7 @@ struct RayBench {
     set_rays(std::move(limits));
   }
   void draw(const Proposal<Real>* previous = nullptr, std::int64_t previous_per_ray = 0) {
-    const std::int64_t capacity = sampler->capacity(count, previous_per_ray);
+    const std::int64_t capacity = sampler->capacity(count, previous_per_ray, ctx.training);
     t.assign(static_cast<std::size_t>(capacity), Real(-1));
     delta = t;
     ray.assign(t.size(), -1);

@@ -132,7 +132,7 @@ class ToySampler final : public Sampler<Real> {
  public:
   explicit ToySampler(Broken broken) : broken_(broken) {}
   SamplerTraits traits() const noexcept override { return {}; }
-  std::int64_t capacity(std::int64_t rays, std::int64_t) const noexcept override { return rays * kCount; }
+  std::int64_t capacity(std::int64_t rays, std::int64_t, bool) const noexcept override { return rays * kCount; }
 
  protected:
   void do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays, const Proposal<Real>*,

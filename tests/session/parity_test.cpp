@@ -216,7 +216,7 @@ TEST(FieldPoints, AreWhatRaysAreMadeOf) {
     const Rays<float> ray{{origin.data(), 1, 3}, {direction.data(), 1, 3}, {near_far.data(), 1, 2}};
     const StepContext ctx = s.pipeline->lanes().context(0, false);
     const Workspace::Scope scope(*ctx.workspace);
-    const std::int64_t capacity = pass.capacity_per_ray(0);
+    const std::int64_t capacity = pass.capacity_per_ray(0, ctx.training);
     Samples<float> samples{.t = ctx.workspace->take<float>(capacity, 1),
                            .delta = ctx.workspace->take<float>(capacity, 1),
                            .ray_of_sample = ctx.workspace->take<std::int32_t>(capacity, 1),

@@ -19,7 +19,7 @@ class Importance final : public Sampler<Real> {
   Importance(const ImportanceParams& params, const SamplerBuild& build, const KernelTables& kernels)
       : kernels_(&kernels.get<ImportanceKernels<Real>>(build.device, "sampler 'importance'")), params_(params) {}
   SamplerTraits traits() const noexcept override { return {.needs_previous = true}; }
-  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override {
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray, bool) const noexcept override {
     return rays * (params_.samples + (params_.keep_previous ? previous_per_ray : 0));
   }
 

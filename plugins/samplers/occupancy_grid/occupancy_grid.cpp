@@ -69,7 +69,9 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
   SEMFIELD_PARAM(visit, params, cascades,
                  "nested grids, each twice the size of the one before; nothing is outside the last", {1, 8});
   SEMFIELD_PARAM(visit, params, max_samples,
-                 "most samples per ray; a ray that needs more takes longer steps; 0 = by the device", {0, 65536});
+                 "most samples per ray in training; a ray that needs more takes longer steps; rendering allows four "
+                 "times as many, up to 512; 0 = by the device",
+                 {0, 65536});
   SEMFIELD_PARAM(visit, params, step_m, "step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
                  {0, 1e12});
   SEMFIELD_PARAM(
@@ -125,7 +127,7 @@ void OccupancyGrid<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&
                                     const Proposal<Real>*, Samples<Real>& out) const {
   OccupancySampleArgs args;
   args.geometry = geometry_;
-  args.max_samples = params_.max_samples;
+  args.max_samples = most_samples(ctx.training);
   args.keep_last = params_.keep_last;
   args.skip_budget = params_.skip == SkipRule::threshold ? std::numeric_limits<double>::infinity()
                      : params_.skip == SkipRule::never   ? -1  // affords nothing, not even exact vacuum

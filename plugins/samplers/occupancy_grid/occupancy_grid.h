@@ -62,7 +62,9 @@ class OccupancyGrid final : public Sampler<Real> {
                                                                : EmptySpace::sampled;
     return traits;
   }
-  std::int64_t capacity(std::int64_t rays, std::int64_t) const noexcept override { return rays * params_.max_samples; }
+  std::int64_t capacity(std::int64_t rays, std::int64_t, bool training) const noexcept override {
+    return rays * most_samples(training);
+  }
   void declare(ParamDeclarer& declarer) const override {
     declarer.tensor({"density", geometry_.cells(), 1, Init::constant(-1), TensorRole::state});
     declarer.tensor({"empty_bits", geometry_.cells() / kBitsPerElement, 1, Init::constant(1), TensorRole::state});
@@ -73,6 +75,13 @@ class OccupancyGrid final : public Sampler<Real> {
   const OccupancyGeometry& geometry() const { return geometry_; }
 
  protected:
+  /// Per ray. One that needs more takes longer steps than its neighbours, and a picture shows the border: rendering,
+  /// which waits for no gradients, gives rays more (docs/decisions.md, 0053).
+  std::int64_t most_samples(bool training) const noexcept {
+    constexpr std::int64_t kTimes = 4, kEnough = 512;
+    const std::int64_t most = params_.max_samples;
+    return training ? most : std::max(most, std::min(kTimes * most, kEnough));
+  }
   void do_sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
                  const Proposal<Real>* previous, Samples<Real>& out) const override;
 

@@ -3,6 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
 #include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "tests/linked_registry.h"
@@ -103,6 +107,58 @@ TEST(OccupancyGrid, JumpsGiveTheSamplesOfStepByStepMarching) {
     EXPECT_GT(total, 1000u);
     EXPECT_LT(total, 300u * 200u);  // most of the lattice is empty
   }
+}
+
+// A fog in the shape of a wedge, striped, behind a post of 2 cm: as a field has them after a minute.
+double density_of_wedge_and_post(double x, double y) {
+  const bool post = std::fabs(x + 0.49) < 0.01 && std::fabs(y - 0.21) < 0.01;
+  return post ? 500 : x > 0.5 + 0.3 * y && x < 1.5 + 0.3 * y ? 3 : 0;
+}
+
+// Colour of each pixel of a view of it.
+std::vector<double> picture_of_wedge_and_post(std::int64_t max_samples) {
+  constexpr std::int64_t kWidth = 96, kHeight = 24;
+  OccupancyGridParams params = small_grid();
+  params.resolution = 64;
+  params.skip = SkipRule::threshold;
+  params.max_samples = max_samples;
+  Bench<double> bench(params);
+  bench.learn(
+      [](View<const double> p, View<double> sigma) {
+        for (std::int64_t i = 0; i < p.rows; ++i) *sigma.row(i) = density_of_wedge_and_post(p(i, 0), p(i, 1));
+      },
+      80);
+  bench.set_rays(kWidth * kHeight, 0.05, 12.0);
+  for (std::int64_t r = 0; r < kWidth * kHeight; ++r) {
+    const double across = static_cast<double>(r % kWidth) / kWidth - 0.5;
+    const double up = static_cast<double>(r / kWidth) / kWidth - 0.125;
+    const Vec3d d = normalized(Vec3d{1, 0.8 * across, 0.8 * up});
+    for (int i = 0; i < 3; ++i) {
+      bench.origin[3 * r + i] = i == 0 ? -1.9 : 0.1;
+      bench.direction[3 * r + i] = d[i];
+    }
+  }
+  bench.draw();
+  std::vector<double> picture;
+  for (std::int64_t r = 0; r < kWidth * kHeight; ++r) {
+    double light = 1, color = 0;
+    for (std::int32_t s = bench.first[r]; s < bench.first[r + 1]; ++s) {
+      const double x = -1.9 + bench.t[s] * bench.direction[3 * r], y = 0.1 + bench.t[s] * bench.direction[3 * r + 1];
+      const double opacity = 1 - std::exp(-density_of_wedge_and_post(x, y) * bench.delta[s]);
+      color += light * opacity * (x < 0 ? 1 : 0.25 + 0.25 * std::sin(40 * x));
+      light *= 1 - opacity;
+    }
+    picture.push_back(color);
+  }
+  return picture;
+}
+
+TEST(OccupancyGrid, PicturesHaveNeitherSquaresNorCombs) {
+  const std::vector<double> want = picture_of_wedge_and_post(65536), got = picture_of_wedge_and_post(48);
+  int off = 0;
+  for (std::size_t i = 0; i < want.size(); ++i) off += std::fabs(got[i] - want[i]) > 1.0 / 64 ? 1 : 0;
+  EXPECT_EQ(off, 0) << "of " << want.size() << " pixels";
+  EXPECT_GT(*std::max_element(want.begin(), want.end()), 0.9) << "no post";
 }
 
 TEST(UnrolledDistance, IsTheIdentityNearbyAndDoublesItsStepsWithTheDistance) {

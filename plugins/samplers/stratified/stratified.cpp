@@ -15,7 +15,9 @@ class Stratified final : public Sampler<Real> {
   Stratified(const StratifiedParams& params, const SamplerBuild& build, const KernelTables& kernels)
       : kernels_(&kernels.get<StratifiedKernels<Real>>(build.device, "sampler 'stratified'")), params_(params) {}
   SamplerTraits traits() const noexcept override { return {}; }
-  std::int64_t capacity(std::int64_t rays, std::int64_t) const noexcept override { return rays * params_.samples; }
+  std::int64_t capacity(std::int64_t rays, std::int64_t, bool) const noexcept override {
+    return rays * params_.samples;
+  }
 
  protected:
   void do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays, const Proposal<Real>*,

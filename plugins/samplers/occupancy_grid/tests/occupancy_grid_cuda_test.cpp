@@ -69,7 +69,7 @@ struct Subject {
     if (live != nullptr) *live = want.live();
     DeviceLaunch launch;
     const DeviceTensors state(box);
-    DeviceBatch batch(grids.device, rays, nullptr, gap);
+    DeviceBatch batch(grids.device, rays, nullptr, gap, ctx.training);
     batch.sample(device_context(ctx, launch), state.values_only());
     const HostSamples got = batch.read();
     EXPECT_EQ(launch.take_fault(), std::nullopt);
