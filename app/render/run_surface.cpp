@@ -61,6 +61,12 @@ class Stream {
   std::vector<std::uint8_t> bytes;
 };
 
+// Where the colours of entropy end: few vertices are so unsure that more would leave the others dark.
+double most_entropy(const Surface& surface) {
+  std::vector<float> entropy = surface.attributes.entropy;
+  return entropy.empty() ? 1 : std::max(0.01, static_cast<double>(quantile(entropy, 0.99)));
+}
+
 std::vector<std::uint8_t> packed(const Surface& surface, const ScenePage& page, const Box& box) {
   Stream stream;
   std::vector<std::uint32_t> corners;
@@ -74,16 +80,17 @@ std::vector<std::uint8_t> packed(const Surface& surface, const ScenePage& page, 
       return static_cast<std::uint16_t>(std::lround(share * kSteps));
     });
   }
+  for (int axis = 0; axis < 3; ++axis)
+    for (const Vec3d& normal : surface.normals) stream.put(static_cast<std::int8_t>(std::lround(127 * normal[axis])));
   const std::vector<std::int16_t>& label = surface.attributes.label;
   for (std::size_t i = 0; i < count; ++i)
     stream.put(label.empty() || label[i] == kVoid ? kNoClass : static_cast<std::uint16_t>(label[i]));
   for (std::size_t c = 0; c < 3; ++c)
     for (std::size_t i = 0; i < count; ++i) stream.put(surface.attributes.color[i][c]);
-  const double most = std::log(std::max(2, page.logits));
+  const double most = most_entropy(surface);
   if (!label.empty())
     for (const float entropy : surface.attributes.entropy)
-      stream.put(
-          static_cast<std::uint8_t>(std::lround(255 * std::clamp(static_cast<double>(entropy) / most, 0.0, 1.0))));
+      stream.put(static_cast<std::uint8_t>(std::lround(255 * std::min(static_cast<double>(entropy) / most, 1.0))));
   if (page.objects)
     for (const std::uint16_t id : vertex_objects(surface, *page.objects)) stream.put(id);
   return std::move(stream.bytes);
@@ -112,6 +119,7 @@ Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage
            {"high", list_of(box.hi)},
            {"turn", turn_to_y(page.up)},
            {"labels", surface.attributes.has_labels()},
+           {"entropy", most_entropy(surface)},
            {"classes", Json::array()},
            {"objects", Json::array()}};
   if (page.eye) out["eye"] = list_of(*page.eye);
@@ -189,14 +197,14 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
   page.bounds = session.extent.bounds;
   if (!up) up = upright_of(session);
   page.up = up.value_or(page.up);
-  page.logits = static_cast<int>(session.plan.class_of_logit.size());
   page.about = {
       fmt::format("Run '{}': {} steps of training on {} photographs.", page.run, step, frames.size()),
       fmt::format("Source: {}.", session.config.dataset.entry->name),
       fmt::format("Made by Semfield {}. Positions are in the input's world.", this_environment().version),
       "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
   page.objects = objects_of_run(folder.string(), info.classes.valid_count());
-  if (session.config.rendering.far != FarMode::background || frames.empty()) return page;
+  const bool inward = session.config.rendering.far != FarMode::background && session.scene.rig.inward;
+  if (inward || frames.empty()) return page;
   const auto seen = [&](int f) { return points_in_view(info.frames[static_cast<std::size_t>(f)], page.bounds); };
   const int most = *std::max_element(frames.begin(), frames.end(), [&](int a, int b) { return seen(a) < seen(b); });
   const Pose& camera = info.frames[static_cast<std::size_t>(most)].world_from_camera;
@@ -257,7 +265,6 @@ namespace {
 
 constexpr long long kDefaultResolution = 256;
 constexpr int kSightLines = 4096;
-constexpr double kOffsetCells = 1.5;  // where texture rays begin, in cells outside the surface
 
 void say(const SurfaceNews& news, const std::string& text) {
   if (news.note) news.note(text);
@@ -283,17 +290,27 @@ SurfaceRequest request_of(const SurfaceWishes& wishes, const Session& s, const V
     request.level_per_m = *wishes.level;
     return request;
   }
-  request.level_per_m = choose_level(*s.pipeline, request, look(*s.pipeline, cameras, s.limits, kSightLines));
+  request.level_per_m =
+      choose_level(*s.pipeline, request, depth_views(*s.pipeline, cameras, s.limits, kSightLines), s.limits);
   return request;
 }
 
 void find_in_depth(RunSurface& found, const Session& s, const SurfaceWishes& wishes, std::span<const RayCamera> cameras,
                    const SurfaceNews& news) {
+  const std::vector<FrameInfo>& frames = s.scene.info.frames;
+  const bool guessed = std::none_of(frames.begin(), frames.end(), [](const FrameInfo& f) { return f.has_depth; });
+  if (guessed)
+    say(news,
+        fmt::format("no depth images: the depth that {} photographs alone give has gaps and bumps. The surface is "
+                    "what {} views or more agree on, smoothed",
+                    cameras.size(), kLeastGuesses));
+  else
+    say(news, "the scene has depth images: --surface sensor makes a surface of them, often a more complete one");
   const std::vector<DepthView> views =
       depth_views(*s.pipeline, cameras, s.limits, wishes.depth_rays, [&](std::size_t done) {
         if (news.views) news.views(static_cast<double>(done), static_cast<double>(cameras.size()));
       });
-  found.surface = fused_surface(views, s.limits, found.grid);
+  found.surface = fused_surface(views, s.limits, found.grid, guessed);
   found.described = "in the depth of the training views";
 }
 
@@ -401,11 +418,21 @@ RunSurface make_run_surface(const Session& session, const std::string& run_dir, 
     found.closed = close_holes(surface, *wishes.close_holes);
     say(news, fmt::format("{} holes closed", found.closed));
   }
-  std::vector<Sights> sights = sights_of(surface, cameras, session.limits, found.grid.spacing);
-  lend_sights(surface, sights);
-  surface.attributes =
-      render_attributes(*session.pipeline, surface, {cameras, sights}, kOffsetCells * found.grid.spacing,
-                        session.limits, session.plan.class_of_logit);
+  PhotoColors photos;
+  for (const int f : session.scene.frames_of(Split::train))
+    photos.photos.push_back(&session.scene.frames[static_cast<std::size_t>(f)]);
+  const std::vector<Sights> sights = sights_of(surface, cameras, session.limits, found.grid.spacing, &photos);
+  PointAttributes& known = surface.attributes;
+  known = render_attributes(*session.pipeline, surface, cameras, sights, session.limits, session.plan.class_of_logit);
+  known.color = std::move(photos.color);
+  // What no photograph shows is as what lies nearest to it.
+  const std::vector<std::uint32_t> nearest = reach_of(edges_of(surface), photos.known).nearest;
+  for (std::size_t v = 0; v < nearest.size(); ++v) {
+    known.color[v] = known.color[nearest[v]];
+    if (!known.has_labels() || sights[v].any()) continue;
+    known.label[v] = known.label[nearest[v]];
+    known.entropy[v] = known.entropy[nearest[v]];
+  }
   finish(surface, wishes.faces, objects, news);
   return found;
 }

@@ -29,19 +29,17 @@ struct ScenePage {
   std::optional<Vec3d> eye;  ///< a place inside, world units; none: the scene is seen from outside alone
   Vec3d ahead;               ///< unit vector of the world: where one looks from there
   Box bounds;                ///< of the scene, for a run without a surface
-  int logits = 0;            ///< classes that entropy is over
   std::optional<ObjectSet> objects;
 };
 
-/// A room is first looked at as by the training camera that sees most of it; the middle of an object's cameras lies in
-/// the object.
+/// A scene is first looked at as by the training camera that sees most of it, unless cameras stand around an object.
 /// Objects are those of RUN/objects, with their edits, where they were found.
 /// `up`: else as the cameras of the training frames stand, or the axis y where they do not tell.
 ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step,
                         std::optional<Vec3d> up = {});
 
 /// A page that stands alone. Positions are rounded to 65,535 steps along each side of the surface's box, and stay in
-/// the input's world. surface.attributes.color holds colours as rendered; class colours are the table's. Throws
+/// the input's world. surface.attributes.color holds those of photographs; class colours are the table's. Throws
 /// Error(no_input) where the viewer's files, which come with the program, are missing.
 std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page);
 /// Writes it whole, with the date. Throws Error(io) too.

@@ -199,7 +199,7 @@ std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, const std::string
   if (panel == "rgb") return to_bytes(frame.rgb);
   if (panel == "label") return overlay(frame, s.scene.info.classes);
   if (panel == "depth") return depth_colors(frame.depth_m, s.limits.near_m, s.limits.far_m);
-  return entropy_colors(frame.entropy, static_cast<int>(s.plan.class_of_logit.size()));
+  return entropy_colors(frame.entropy, std::log(s.plan.class_of_logit.size()));
 }
 
 // Of names that are in kPanels; of none: all that the run has. Throws Error(usage) for label or entropy of a run
@@ -340,7 +340,8 @@ std::int64_t write_frame(const std::string& base, const RenderedFrame& frame, co
   write_label_ids(base + "_label.png", size, frame.label, s.scene.info.classes);
   write_label_colors(base + "_label_vis.png", size, frame.label, s.scene.info.classes);
   write_entropy(base + "_entropy.png", size, frame.entropy, logits);
-  write_png_rgb(base + "_entropy_vis.png", size.width_px, size.height_px, entropy_colors(frame.entropy, logits));
+  write_png_rgb(base + "_entropy_vis.png", size.width_px, size.height_px,
+                entropy_colors(frame.entropy, std::log(logits)));
   if (npy) write_map_npy(base + "_entropy.npy", size, frame.entropy);
   if (frame.probability.empty()) return beyond;
   const std::array<std::int64_t, 3> shape{size.height_px, size.width_px, s.classes()};

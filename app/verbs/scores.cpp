@@ -213,7 +213,7 @@ struct ReportOptions : Options {
 // A report needs no scene, a view of it does: where the run does not open, the note says why.
 std::string scene_of(const std::string& run_dir, AppContext& context) {
   try {
-    const OpenedRun run = run_of(run_dir, {}, OpenFor::rendering, context);
+    const OpenedRun run = run_of(run_dir, {}, OpenFor::surface, context);
     return report_scene(run.session, run_dir, run.step, context);
   } catch (const Error& e) {
     print_note(context, "no view in 3D in the report: " + e.message());

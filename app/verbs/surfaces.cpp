@@ -71,7 +71,7 @@ struct MeshOptions : Options {
       list("--format LIST", "forms of the files, with commas (default: what --out ends with, or ply)", known_formats());
   const std::string& color =
       choice("--color WHICH", "", {"photo", "class", "both"},
-             "colours as rendered, or of the class table, in files that end in _classes (default: both)");
+             "colours of the photographs, or of the class table, in files that end in _classes (default: both)");
   const std::string& up =
       choice("--up AXIS", "", {"x", "-x", "y", "-y", "z", "-z"},
              "axis of the world that GLB, HTML and PGM files show upright (default: as the cameras stand)");
@@ -510,7 +510,7 @@ int run(const MeshOptions& options, AppContext& context) {
   const bool wants_surface = targets.surfaces() || options.score;
   const bool measured = options.score || options.source == "sensor";
   OpenedRun run =
-      run_of(options.run, options.set, measured ? OpenFor::evaluation_of_training_frames : OpenFor::rendering, context);
+      run_of(options.run, options.set, measured ? OpenFor::evaluation_of_training_frames : OpenFor::surface, context);
   const Session& s = run.session;
   mesh_colorings(options, s.pipeline->has_semantics());
   surface_source(options.surface(), s);

@@ -53,8 +53,8 @@ struct ViewVerbOptions : PageVerbOptions {
 
 namespace fs = std::filesystem;
 
-constexpr long long kCoarseCells = 64, kFineCells = 256;
-constexpr std::int64_t kCoarseRays = 120'000, kFineRays = 3'000'000;
+constexpr std::array<long long, 3> kCells{0, 64, 256};  // of the meshes: none, which is there at once, coarse, fine
+constexpr std::array<std::int64_t, 3> kRays{0, 120'000, 3'000'000};
 constexpr std::int64_t kBandRays = 16'384;  // between two looks at whether anybody still waits
 constexpr int kQuality = 90;
 constexpr std::array kMaps{"photo", "class", "object", "entropy", "depth"};
@@ -63,8 +63,8 @@ constexpr std::array kMaps{"photo", "class", "object", "entropy", "depth"};
 struct ViewPicture {
   FreeCamera camera;
   std::int32_t width_px = 0, height_px = 0;
-  std::string map;                       // of kMaps
-  std::array<double, 2> depths_m{0, 1};  // nearest and farthest, of depth's colours
+  std::string map;                    // of kMaps
+  std::array<double, 2> range{0, 1};  // of the colours: nearest and farthest depth, or least and most entropy
 };
 
 // A run that somebody looks at. Every call may come from any thread. The field works for one at a time: pictures and
@@ -93,19 +93,23 @@ class ViewedRun {
     return all.empty() ? run_.step : all.front().step;
   }
 
-  // The parts of a scene with a coarse mesh, which is there soon, or with one as `semfield mesh` makes it. A field
-  // without a surface gives an empty mesh, and says so among the lines of the page.
-  std::string scene(bool fine) {
-    const std::shared_ptr<const RunSurface> made = surface(fine);
+  // Of the mesh that is made, a number of kCells, and how much of it is, in thousandths.
+  std::pair<int, int> progress() const { return {making_, made_}; }
+
+  // The parts of a scene with a mesh, a number of kCells. A field without a surface gives an empty one, and says so
+  // among the lines of the page.
+  std::string scene(int mesh) {
+    const std::shared_ptr<const RunSurface> made = surface(mesh);
     const std::scoped_lock lock(page_lock_);
     const EditedObjects* const now = objects_.look();  // another program may have changed them
     show_objects(now);
     const std::size_t edits = now == nullptr ? 0 : now->edits.edits.size();
     ScenePage page = page_;
-    if (made->surface.triangles.empty()) page.about.push_back(trouble_ + ": the field is seen when the camera rests.");
-    const auto [facts, mesh] = scene_parts(made->surface, run_.session.scene.info.classes, page,
-                                           {{"fine", fine}, {"edits", edits}, {"state", shown_}});
-    return joined_parts({facts, mesh});
+    if (mesh > 0 && made->surface.triangles.empty())
+      page.about.push_back(trouble_ + ": the field is seen when the camera rests.");
+    const auto [facts, bytes] = scene_parts(made->surface, run_.session.scene.info.classes, page,
+                                            {{"mesh", mesh}, {"edits", edits}, {"state", shown_}});
+    return joined_parts({facts, bytes});
   }
 
   // JPEG. Empty once `abandoned`. Throws Error(data) for maps that the run lacks.
@@ -173,8 +177,8 @@ class ViewedRun {
   // Applies and keeps an edit of the objects that have the state `made_on`; none: takes the last one back. {"objects",
   // "ids", "edits", "state", "said"}, ids as base64 of 16 bits for every vertex. Throws as ObjectFolder::edit;
   // nothing has changed then.
-  Json edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine) {
-    const std::shared_ptr<const RunSurface> made = surface(fine);
+  Json edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, int mesh) {
+    const std::shared_ptr<const RunSurface> made = surface(mesh);
     const std::scoped_lock lock(page_lock_);
     const EditedObjects& now = objects_.edit(edit, made_on);
     show_objects(&now);
@@ -232,17 +236,20 @@ class ViewedRun {
     shown_ = objects_.state();
   }
 
-  std::shared_ptr<const RunSurface> surface(bool fine) {
-    const auto which = static_cast<std::size_t>(fine);
+  std::shared_ptr<const RunSurface> surface(int mesh) {
+    const auto which = static_cast<std::size_t>(mesh);
     const std::scoped_lock made_once(surface_lock_[which]);
+    if (mesh == 0 && !surface_[which]) surface_[which] = std::make_shared<const RunSurface>();
     if (surface_[which]) return surface_[which];
     SurfaceWishes wishes;
-    wishes.resolution = fine ? kFineCells : kCoarseCells;
-    wishes.depth_rays = fine ? kFineRays : kCoarseRays;
+    wishes.resolution = kCells[which];
+    wishes.depth_rays = kRays[which];
     Turn turn(*this, false);
     SurfaceNews news;
-    news.views = [&](double, double) {
+    news.views = [&](double done, double of) {
       if (stop_signal() != 0) throw std::runtime_error("the program ends");
+      made_ = static_cast<int>(999 * done / of);
+      making_ = mesh;
       turn.let_others();
     };
     RunSurface made;
@@ -258,6 +265,7 @@ class ViewedRun {
       trouble_ = e.message();
     }
     surface_[which] = std::make_shared<const RunSurface>(std::move(made));
+    made_ = 1000;
     return surface_[which];
   }
 
@@ -294,9 +302,8 @@ class ViewedRun {
   std::vector<std::uint8_t> painted(const ViewPicture& wanted, const RayCamera& camera,
                                     const RenderedFrame& frame) const {
     if (wanted.map == "photo") return to_bytes(frame.rgb);
-    if (wanted.map == "depth") return depth_colors(frame.depth_m, wanted.depths_m[0], wanted.depths_m[1]);
-    if (wanted.map == "entropy")
-      return entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size()));
+    if (wanted.map == "depth") return depth_colors(frame.depth_m, wanted.range[0], wanted.range[1]);
+    if (wanted.map == "entropy") return entropy_colors(frame.entropy, wanted.range[1]);
     const std::vector<std::uint8_t> rgb = to_bytes(frame.rgb);
     const bool by_class = wanted.map == "class";
     const std::vector<std::int16_t> shown =
@@ -327,13 +334,14 @@ class ViewedRun {
   std::mutex field_lock_;         // of these two; the field belongs to the call whose turn it is
   std::uint64_t turn_ = 0, last_turn_ = 0;
   std::condition_variable field_free_;
-  std::atomic<int> hurried_{0};  // pictures and points that wait or are made
-  std::array<std::mutex, 2> surface_lock_;
-  std::array<std::shared_ptr<const RunSurface>, 2> surface_;  // coarse, fine
+  std::atomic<int> hurried_{0};           // pictures and points that wait or are made
+  std::atomic<int> making_{0}, made_{0};  // progress()
+  std::array<std::mutex, kCells.size()> surface_lock_;
+  std::array<std::shared_ptr<const RunSurface>, kCells.size()> surface_;
 };
 
 HttpResponse picture_of(ViewedRun& run, const HttpRequest& request) {
-  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "depths"});
+  const Json root = parse_request(request.body, {"camera", "width", "height", "map", "range"});
   ViewPicture wanted;
   wanted.camera = read_request_camera(kRequest.at(root, "camera"));
   wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
@@ -342,35 +350,38 @@ HttpResponse picture_of(ViewedRun& run, const HttpRequest& request) {
   if (std::find(kMaps.begin(), kMaps.end(), map) == kMaps.end())
     kRequest.refuse_value("map", "photo, class, object, entropy or depth", map);
   wanted.map = map.get<std::string>();
-  if (wanted.map == "depth") wanted.depths_m = request_numbers<2>(root, "depths", 1e9);
+  if (wanted.map == "depth" || wanted.map == "entropy") wanted.range = request_numbers<2>(root, "range", 1e9);
   return jpeg_answer(run.picture(wanted, [&] { return request.abandoned(); }));
 }
 
 HttpResponse edit_of(ViewedRun& run, const HttpRequest& request) {
-  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
-  bool fine = false;
-  kRequest.flag(root, "fine", fine);
+  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "mesh", "made_on"});
+  const int mesh = request_number(root, "mesh", 0, std::ssize(kCells) - 1);
   const Json made_on = kRequest.at(root, "made_on");
   if (!made_on.is_string()) kRequest.refuse_value("made_on", "a word", made_on);
-  root.erase("fine");
+  root.erase("mesh");
   root.erase("made_on");
   std::optional<ObjectEdit> edit;
   if (kRequest.at(root, "do") != "undo") edit = parse_object_edit(root.dump(), "request");
-  return json_answer(run.edit(edit, made_on.get<std::string>(), fine));
+  return json_answer(run.edit(edit, made_on.get<std::string>(), mesh));
 }
 
-// The newest step, once it is another than the page knows; `after`: the revision of the answer before.
+// The newest step, and the mesh that is made, once they are others than the page knows; `after`: the revision of the
+// answer before.
 HttpResponse state_of(ViewedRun& run, News& news, const HttpRequest& request) {
   constexpr std::chrono::milliseconds kLook(1000);  // into the run's folder
   constexpr std::uint64_t kMostSteps = std::uint64_t{1} << 53;
   const std::uint64_t after = query_number(request.query, "after", 0, kMostSteps);
-  std::int64_t newest = 0;
+  std::int64_t newest = 0, revision = 0;
+  std::pair<int, int> mesh;
   news.wait(request, after == 0, [&](std::chrono::milliseconds left) {
     std::this_thread::sleep_for(std::min(kLook, left));
     newest = run.newest_step();
-    return left.count() == 0 || static_cast<std::uint64_t>(newest) + 1 != after;
+    mesh = run.progress();
+    revision = 1 + mesh.second + 1024 * (mesh.first + 4 * newest);
+    return left.count() == 0 || static_cast<std::uint64_t>(revision) != after;
   });
-  return json_answer({{"revision", newest + 1}, {"newest", newest}});
+  return json_answer({{"revision", revision}, {"newest", newest}, {"mesh", mesh.first}, {"made", mesh.second}});
 }
 
 HttpResponse point_of(ViewedRun& run, const HttpRequest& request) {
@@ -382,7 +393,9 @@ HttpResponse point_of(ViewedRun& run, const HttpRequest& request) {
 PageHost::Places places_of(ViewedRun& run, News& news) {
   return {{"surface",
            {"GET",
-            [&](const HttpRequest& r) { return bytes_answer(run.scene(query_number(r.query, "fine", 0, 1) == 1)); }}},
+            [&](const HttpRequest& r) {
+              return bytes_answer(run.scene(static_cast<int>(query_number(r.query, "mesh", 0, kCells.size() - 1))));
+            }}},
           {"state", {"GET", [&](const HttpRequest& r) { return state_of(run, news, r); }}},
           {"picture", {"POST", [&](const HttpRequest& r) { return picture_of(run, r); }}},
           {"point", {"POST", [&](const HttpRequest& r) { return point_of(run, r); }}},
@@ -393,13 +406,13 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   HostOptions host = host_at(options.address, options.port, "view", "docs/guide/viewing.md");
   host.token = new_token();
   install_stop_signals(!context.quiet);
-  ViewedRun viewed(run_of(options.run, options.set, OpenFor::rendering, context));
+  ViewedRun viewed(run_of(options.run, options.set, OpenFor::surface, context));
   News news;
   const PageHost server(std::move(host), places_of(viewed, news));
   // While the browser loads the page. What fails here fails for the page too, which says why.
   const std::jthread mesh([&viewed] {
     try {
-      (void)viewed.scene(false);
+      (void)viewed.scene(1);
     } catch (const std::exception&) {
       return;
     }

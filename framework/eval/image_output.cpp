@@ -121,9 +121,9 @@ std::vector<std::uint8_t> depth_colors(std::span<const float> depth_m, double ne
   return rgb;
 }
 
-std::vector<std::uint8_t> entropy_colors(std::span<const float> entropy_nats, int classes) {
+std::vector<std::uint8_t> entropy_colors(std::span<const float> entropy_nats, double most) {
   std::vector<std::uint8_t> rgb(entropy_nats.size() * 3);
-  const double scale = classes > 1 ? 1 / std::log(static_cast<double>(classes)) : 0;
+  const double scale = most > 0 ? 1 / most : 0;
   for (std::size_t i = 0; i < entropy_nats.size(); ++i) put(rgb, i, perceptual_color(entropy_nats[i] * scale));
   return rgb;
 }

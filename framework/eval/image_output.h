@@ -27,8 +27,8 @@ std::array<std::uint8_t, 3> perceptual_color(double t);
 std::vector<std::uint8_t> label_colors(std::span<const std::int16_t> label, const ClassTable& classes);
 /// Depth in metres as colours: near is bright. Values that are not finite or <= 0 are black. [H * W * 3]
 std::vector<std::uint8_t> depth_colors(std::span<const float> depth_m, double near_m, double far_m);
-/// Entropy in nats as colours, full range: ln(classes) is the brightest. [H * W * 3]
-std::vector<std::uint8_t> entropy_colors(std::span<const float> entropy_nats, int classes);
+/// Entropy in nats as colours, from 0 to `most`, the brightest: ln(classes) is the full range. [H * W * 3]
+std::vector<std::uint8_t> entropy_colors(std::span<const float> entropy_nats, double most);
 
 /// 2nd and 98th percentile of the valid depths, for depth_colors; {0, 1} without any.
 struct DepthRange {

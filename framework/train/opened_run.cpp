@@ -234,9 +234,9 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   options.trained_classes = facts.classes;
   options.trainable = false;
   options.ranks = ranks;
-  options.depth = purpose == OpenFor::evaluation                                 ? DepthKept::test
-                  : purpose == OpenFor::rendering || purpose == OpenFor::objects ? DepthKept::none
-                                                                                 : DepthKept::all;
+  options.depth = purpose == OpenFor::evaluation                      ? DepthKept::test
+                  : purpose == OpenFor::evaluation_of_training_frames ? DepthKept::all
+                                                                      : DepthKept::none;
   options.known = facts.scene;
   options.pixels = purpose != OpenFor::rendering;
   options.instances = purpose == OpenFor::objects;

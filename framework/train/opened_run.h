@@ -46,9 +46,9 @@ struct OpenedRun {
   double train_s = 0;
   std::string run_dir;
 };
-enum class OpenFor { evaluation, evaluation_of_training_frames, rendering, objects };
-/// `ranks`: SessionOptions::ranks. For rendering alone no pixel is read, unless the checkpoint does not state what
-/// training knew of the scene.
+enum class OpenFor { evaluation, evaluation_of_training_frames, rendering, objects, surface };
+/// `ranks`: SessionOptions::ranks. A surface needs the pixels of photographs. For rendering alone no pixel is read,
+/// unless the checkpoint does not state what training knew of the scene.
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
                    Diagnostics& diagnostics, OpenFor purpose = OpenFor::evaluation, Ranks* ranks = nullptr);
 

@@ -686,6 +686,71 @@ TEST(Sights, AnObjectThatIsSeenButForALittleStaysClosed) {
   EXPECT_EQ(seen_of(all, cameras).triangles.size(), all.triangles.size());
 }
 
+TEST(Surface, SmoothingTakesBumpsOffAndNotTheSize) {
+  Surface ball = mesh_files_surface_of([](Vec3d p) { return ball_value(p, {}, 1); });
+  const RandomAddress address{3, 0, stream_id("mesh_test/bumps")};
+  for (std::size_t v = 0; v < ball.positions.size(); ++v)
+    ball.positions[v] = ball.positions[v] * (0.99 + 0.02 * static_cast<double>(uniform01(address, v)));
+  const auto mean = [&](double from) {
+    double sum = 0;
+    for (const Vec3d& p : ball.positions) sum += from == 0 ? length(p) : std::abs(length(p) - from);
+    return sum / static_cast<double>(ball.positions.size());
+  };
+  const double bumps = mean(1);
+  smooth(ball, 10);
+  EXPECT_LT(mean(1), 0.5 * bumps);
+  EXPECT_NEAR(mean(0), 1, 0.002);
+}
+
+// A red pillar before walls of a colour of the place, photographed by cameras that are a pixel and a half off: one
+// photograph is burnt, and in one a stranger, who is masked, hides the wall.
+TEST(Sights, PhotographsColourWhatTheyShow) {
+  const auto pillar = [](Vec3d p) { return 0.3 - std::hypot(p.x - 0.3, p.y); };
+  const auto solid = [&](Vec3d p) { return std::max(walls(p), pillar(p)); };
+  const auto color_of = [&](Vec3d p) -> std::array<std::uint8_t, 3> {
+    if (pillar(p) > -0.02) return {200, 0, 0};
+    return {static_cast<std::uint8_t>(100 + 50 * p.z), 150, static_cast<std::uint8_t>(100 + 50 * p.y)};
+  };
+  std::vector<RayCamera> cameras;
+  for (const double y : {-0.8, -0.5, -0.2, 0.2, 0.5, 0.8}) cameras.push_back(camera_at({-0.9, y, 0.1 * y}, {1, 0, 0}));
+  std::vector<StoredFrame> frames(cameras.size());
+  PhotoColors colors;
+  for (std::size_t f = 0; f < frames.size(); ++f) {
+    StoredFrame& frame = frames[f];
+    const RayCamera& camera = cameras[f];
+    frame.width_px = camera.camera.width_px;
+    frame.height_px = camera.camera.height_px;
+    std::vector<std::uint8_t> used;
+    for (int i = 0; i < frame.width_px * frame.height_px; ++i) {
+      const double u = i % frame.width_px + (f % 2 == 0 ? 2 : -1), v = i / frame.width_px + 0.5;
+      const Vec3d ray = camera.world_from_camera.rotate(camera.camera.direction(u, v));
+      Vec3d p = camera.world_from_camera.t;
+      while (solid(p) < 0) p = p + ray * 0.01;
+      const bool stranger = f == 2 && u < 60;
+      for (const std::uint8_t c : color_of(p)) frame.rgb.push_back(f == 0 || stranger ? 255 : c);
+      used.push_back(stranger ? 0 : 1);
+    }
+    frame.mask = PixelMask(used);
+    colors.photos.push_back(&frame);
+  }
+  const Surface all = mesh_files_surface_of(solid);
+  const std::vector<Sights> sights = sights_of(all, cameras, limits(), kCell, &colors);
+  std::int64_t seen = 0, wrong = 0, black = 0;
+  for (std::size_t v = 0; v < sights.size(); ++v) {
+    black += colors.color[v] == std::array<std::uint8_t, 3>{} ? 1 : 0;
+    if (sights[v].camera[2] < 0) continue;
+    ++seen;
+    for (std::size_t c = 0; c < 3; ++c) {
+      if (std::abs(colors.color[v][c] - color_of(all.positions[v])[c]) <= 20) continue;
+      ++wrong;
+      break;
+    }
+  }
+  ASSERT_GT(seen, 3000);
+  EXPECT_LT(wrong, seen / 20);
+  EXPECT_EQ(black, 0) << "what none shows has a colour of what is around it";
+}
+
 TEST(Sights, FollowTheLensAndTheLimitsAndNotTheThreads) {
   const Surface all = mesh_files_surface_of([](Vec3d p) { return std::max(walls(p), ball_value(p, {0, 0, 0}, 0.3)); });
   std::vector<RayCamera> cameras = around({-0.7, 0.1, 0});

@@ -51,8 +51,12 @@ def read_page(text):
         steps, at = numbers(data, at, "H", count)
         low, high = facts["low"][axis], facts["high"][axis]
         axes.append([low + value % 65536 * (high - low) / 65535 for value in itertools.accumulate(steps)])
+    normals, channels = [], []
+    for _ in range(3):
+        normal, at = numbers(data, at, "b", count)
+        normals.append(normal)
+    assert all(120 < math.hypot(*normal) < 134 for normal in zip(*normals)), "normals are units of 127 steps"
     labels, at = numbers(data, at, "H", count)
-    channels = []
     for _ in range(3):
         channel, at = numbers(data, at, "B", count)
         channels.append(channel)
@@ -80,8 +84,8 @@ def compare(page, mesh):
     of_ids = [-1 if label == NO_CLASS else facts["classes"][label]["id"] for label in labels]
     assert all(got == want or (got == -1 and want < 0) for got, want in zip(of_ids, ids)), "classes of vertices"
     assert len(set(of_ids)) > 2, "a room has some classes"
-    most = max(entropy)
-    assert all(abs(share / max(shares) - nats / most) < 0.02 for share, nats in zip(shares, entropy)), "entropy as a share"
+    assert sum(nats > facts["entropy"] for nats in entropy) <= 0.01 * len(entropy) + 1, "colours of entropy end at its 99th percentile"
+    assert all(abs(share - min(255, 255 * nats / facts["entropy"])) <= 1 for share, nats in zip(shares, entropy)), "entropy as a share"
     ids_there = {row["id"] for row in facts["objects"]}
     assert ids_there and set(objects) - {0} <= ids_there and len(set(objects)) > 2, (ids_there, set(objects))
     assert list(corners) == [corner for face in faces for corner in face]
@@ -111,6 +115,13 @@ def look(driver, path, page):
     assert view.run("return document.getElementById('inside').getAttribute('aria-pressed')") == "true", "a room opens inside"
     view.click("#outside")
     view.wait("document.getElementById('outside').getAttribute('aria-pressed') === 'true'")
+    (left, right), (top, bottom), free = view.run("""
+        const {camera, layer} = semfield, {forward} = camera.axes, m = camera.turnToY;
+        const facing = layer.points().filter(([, n]) => [0, 1, 2].reduce((sum, k) => sum + forward[k] * (m[k] * n[0] + m[4 + k] * n[1] + m[8 + k] * n[2]), 0) < 0);
+        const at = facing.map(([place]) => camera.toScreen(place));
+        return [...[0, 1].map((k) => [Math.min(...at.map((p) => p[k])), Math.max(...at.map((p) => p[k]))]), semfield.free()];""")
+    assert free["left"] - 1 < left < right < free["right"] + 1 and free["top"] - 1 < top < bottom < free["bottom"] + 1, "the scene is in the free part of the canvas"
+    assert right - left > 0.9 * (free["right"] - free["left"]) or bottom - top > 0.9 * (free["bottom"] - free["top"]), "and fills it"
     calls = drawn(view)
     view.click("#class")
     view.wait(f"semfield.drawing.calls === {calls + 1}", "a press of a button is one draw call")
@@ -142,6 +153,15 @@ def look(driver, path, page):
     first, second = (point["place"] for point in view.run("return semfield.points"))
     told = float(re.search(r"distance ([0-9.]+) m", view.text("#readout")).group(1))
     assert abs(told - math.dist(first, second)) < 0.001, (told, first, second)
+    assert view.text("#marks text") == f"{told:.3f} m", "the line says its length"
+    yellow = """return semfield.picture().then((blob) => createImageBitmap(blob)).then((image) => {
+        const canvas = new OffscreenCanvas(image.width, image.height), context = canvas.getContext('2d');
+        context.drawImage(image, 0, 0);
+        const {data} = context.getImageData(0, 0, image.width, image.height);
+        let count = 0;
+        for (let i = 0; i < data.length; i += 4) count += data[i] === 255 && data[i + 1] === 213 && data[i + 2] === 74;
+        return count; });"""
+    assert view.run(yellow) > 100, "a saved picture keeps it"
     view.mouse((middle[0] - 60, middle[1]))
     view.wait("semfield.points.length <= 1", "a third click begins anew")
 
@@ -169,8 +189,12 @@ def look(driver, path, page):
     view.click("#inside")
     view.wait("document.getElementById('inside').getAttribute('aria-pressed') === 'true'")
     view.size(390, 844)
+    view.touch(True)
     view.wait("canvas.clientWidth === 390")
     assert view.run("return document.documentElement.scrollWidth") <= 390
+    view.run("semfield.points = []; semfield.changed()")
+    view.wait("(({innerText}) => innerText.includes('Tap a point') && !innerText.includes('drag to move'))(document.getElementById('hint'))", "hints for fingers")
+    view.touch(False)
     assert view.complaints() == [], view.complaints()
     driver.give_back(view)
 

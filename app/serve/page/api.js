@@ -82,8 +82,8 @@ export async function getPicture(request) {
 export const getThing = async (request) => jsonOf(answerParts(await body(await post('./thing', request), 'arrayBuffer'))[0]);
 
 /// The facts of a scene and its mesh, deflated.
-export async function getScene(isFine) {
-  const [facts, mesh] = answerParts(await body(await answered(`./surface?fine=${isFine ? 1 : 0}`, {}, kLongest_ms), 'arrayBuffer'));
+export async function getScene(number) {
+  const [facts, mesh] = answerParts(await body(await answered(`./surface?mesh=${number}`, {}, kLongest_ms), 'arrayBuffer'));
   return {facts: jsonOf(facts), mesh};
 }
 

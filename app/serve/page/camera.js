@@ -77,34 +77,52 @@ function rotation([x, y, z, w]) {
           2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y), 0, 0, 0, 0, 1];
 }
 
-function perspective(angle, aspect, near, far) {
-  const f = 1 / Math.tan(angle / 2);
+function perspective(slope, aspect, near, far) {
+  const f = 1 / slope;
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0];
 }
 
 const kNear = 0.002;  // of the scene's diagonal
 const kFar = 6;
-const kAngle = 55 * Math.PI / 180;
+const kSlope = [Math.tan(25 * Math.PI / 180), Math.tan(27.5 * Math.PI / 180)];  // of half a picture, across and up: at least
 
 /// Turns about a target, upright, in the scene turned to y up.
 export class OrbitCamera {
   constructor(facts) {
     this.turnToY = rotation(facts.turn);
-    this.diagonal = distance(facts.low, facts.high);
-    this.middle = facts.low.map((v, i) => (v + facts.high[i]) / 2);
     Object.assign(this, {eyeInside: facts.eye, aheadInside: facts.ahead});
+    this.setBox(facts);
     this.screen = {width: 1, height: 1, ratio: 1};
     this.fit();
   }
 
   resize(screen) { this.screen = screen; }
 
-  /// Outside of the scene.
-  fit() {
-    this.target = moved(this.turnToY, this.middle).slice(0, 3);
-    this.yaw = 0.7;
-    this.pitch = 0.65;
-    this.reach = 1.15 * this.diagonal * Math.max(1, 0.8 * this.screen.height / Math.max(this.screen.width, 1));
+  /// {low, high}: what the scene lies in; points: [place, normal] of some of its surface.
+  setBox(box, points = []) {
+    Object.assign(this, {box, points});
+    this.diagonal = distance(box.low, box.high);
+    this.middle = box.low.map((v, i) => (v + box.high[i]) / 2);
+  }
+
+  /// Outside of the scene; what of it faces the camera fills `free`, {left, top, right, bottom} in CSS pixels.
+  fit(free = {left: 0, top: 0, right: this.screen.width, bottom: this.screen.height}) {
+    const [x, , z] = moved(this.turnToY, this.aheadInside ?? [0, 0, 0]);
+    Object.assign(this, {target: moved(this.turnToY, this.middle).slice(0, 3), yaw: this.aheadInside ? Math.atan2(-x, -z) + 0.4 : 0.7, pitch: 0.65});
+    const {right, up, forward} = this.axes;
+    const {width, height} = this.screen;
+    const perPixel = 2 * this.slope / height;
+    const facing = this.points.filter(([, normal]) => dot(moved(this.turnToY, normal).slice(0, 3), forward) < 0).map(([place]) => place);
+    const corners = Array.from({length: 8}, (_, k) => [0, 1, 2].map((i) => this.box[k >> i & 1 ? 'high' : 'low'][i]));
+    const places = (facing.length > 0 ? facing : corners).map((place) => add(moved(this.turnToY, place).slice(0, 3), this.target, -1));
+    const ways = [[right, free.left - width / 2, free.right - width / 2], [up, height / 2 - free.bottom, height / 2 - free.top]].map(([axis, from, to]) => {
+      // Aside by `a`, a place at (r, f) of the axes is seen where low (reach + f) <= r - a <= high (reach + f).
+      const [low, high] = [from * perPixel, to * perPixel];
+      const bounds = (end) => places.map((place) => dot(place, axis) - end * dot(place, forward));
+      return {low, high, least: Math.max(...bounds(high)), most: Math.min(...bounds(low))};
+    });
+    this.reach = 1.06 * Math.max(...ways.map(({low, high, least, most}) => (least - most) / (high - low)));
+    this.aside = ways.map(({low, high, least, most}) => (least + most) / 2 / this.reach - (low + high) / 2);
   }
   /// As the training camera that sees most.
   goInside() {
@@ -113,11 +131,12 @@ export class OrbitCamera {
     this.yaw = Math.atan2(-x, -z);
     this.pitch = -Math.asin(Math.max(-1, Math.min(1, y)));
     this.reach = 1e-3 * this.diagonal;
+    this.aside = [0, 0];
   }
   /// Turns about a place of the world, from near enough to fill half of the picture with `size`.
   lookAt(place, size) {
     this.target = moved(this.turnToY, place).slice(0, 3);
-    this.reach = Math.max(0.03 * this.diagonal, Math.min(this.reach, size / Math.tan(kAngle / 2)));
+    this.reach = Math.max(0.03 * this.diagonal, Math.min(this.reach, size / this.slope));
   }
   get isInside() { return this.reach < 0.05 * this.diagonal; }
 
@@ -134,7 +153,7 @@ export class OrbitCamera {
   }
   move(dx, dy) {
     const {right, up} = this.axes;
-    const perPixel = 2 * Math.max(this.reach, 0.15 * this.diagonal) * Math.tan(kAngle / 2) / this.screen.height;
+    const perPixel = 2 * Math.max(this.reach, 0.15 * this.diagonal) * this.slope / this.screen.height;
     this.target = add(add(this.target, right, -dx * perPixel), up, dy * perPixel);
   }
   /// Shares of the diagonal to the right, up and ahead.
@@ -148,18 +167,20 @@ export class OrbitCamera {
     if (this.reach / factor > least && this.reach > least) this.reach = Math.min(4 * this.diagonal, this.reach / factor);
     else this.target = add(this.target, this.axes.forward, (1 - 1 / factor) * 0.2 * this.diagonal);
   }
-  state() { return {target: [...this.target], yaw: this.yaw, pitch: this.pitch, reach: this.reach}; }
+  /// aside: how far the eye stands to the right and above, in shares of its reach.
+  state() { return {target: [...this.target], yaw: this.yaw, pitch: this.pitch, reach: this.reach, aside: [...this.aside]}; }
 
   get aspect() { return this.screen.width / this.screen.height; }
+  get slope() { return Math.max(kSlope[1], kSlope[0] / this.aspect); }
   matrices() {
     const {right, up, forward} = this.axes;
-    const at = add(this.target, forward, -this.reach);
+    const at = add(add(add(this.target, forward, -this.reach), right, this.aside[0] * this.reach), up, this.aside[1] * this.reach);
     const turned = [0, 1, 2].flatMap((k) => [right[k], up[k], -forward[k], 0]);
     const eye = product([...turned, -dot(right, at), -dot(up, at), dot(forward, at), 1], this.turnToY);
-    return {clip: product(perspective(kAngle, this.aspect, kNear * this.diagonal, kFar * this.diagonal), eye), eye};
+    return {clip: product(perspective(this.slope, this.aspect, kNear * this.diagonal, kFar * this.diagonal), eye), eye};
   }
   /// Degrees of the picture's width.
-  fovDeg() { return 360 / Math.PI * Math.atan(Math.tan(kAngle / 2) * this.aspect); }
+  fovDeg() { return 360 / Math.PI * Math.atan(this.slope * this.aspect); }
   /// Nearest and farthest depth of what is worth colours.
   depths() {
     const half = 0.55 * this.diagonal;
@@ -181,7 +202,7 @@ export class OrbitCamera {
   unprojected(x, y, depth) {
     const [near, far] = [kNear * this.diagonal, kFar * this.diagonal];
     const z = 2 * far * near / (far + near - (2 * depth - 1) * (far - near));
-    const half = z * Math.tan(kAngle / 2);
+    const half = z * this.slope;
     const at = [(2 * x / this.screen.width - 1) * half * this.aspect, (2 * y / this.screen.height - 1) * half, z];
     return this.worldFromCamera().map((row) => dot(row.slice(0, 3), at) + row[3]);
   }
@@ -193,5 +214,5 @@ export function between(a, b, share) {
   const mix = (x, y) => x + s * (y - x);
   const around = Math.atan2(Math.sin(b.yaw - a.yaw), Math.cos(b.yaw - a.yaw));  // the short way
   return {target: a.target.map((v, i) => mix(v, b.target[i])), yaw: a.yaw + s * around, pitch: mix(a.pitch, b.pitch),
-          reach: Math.exp(mix(Math.log(a.reach), Math.log(b.reach)))};
+          reach: Math.exp(mix(Math.log(a.reach), Math.log(b.reach))), aside: a.aside.map((v, i) => mix(v, b.aside[i]))};
 }

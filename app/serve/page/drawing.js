@@ -26,7 +26,7 @@ function summed(numbers) {
   return numbers;
 }
 
-/// corners [3 T] of triangles; place [V, 4]: steps along the box and the class; color [V, 4] with entropy; object [V].
+/// corners [3 T] of triangles; place [V, 4]: steps along the box and the class; normal [V, 4], with 127 for 1; color [V, 4] with entropy; object [V].
 export function unpacked(buffer, facts) {
   const count = facts.vertices;
   const corners = summed(new Uint32Array(buffer, 0, 3 * facts.triangles));
@@ -37,20 +37,22 @@ export function unpacked(buffer, facts) {
     return numbers;
   };
   const axes = [0, 1, 2].map(() => summed(part(Uint16Array)));
+  const normals = [0, 1, 2].map(() => part(Int8Array));
   const labels = part(Uint16Array);
   const channels = [0, 1, 2].map(() => part(Uint8Array));
   const entropy = facts.labels ? part(Uint8Array) : new Uint8Array(count);
   const object = facts.objects.length > 0 ? part(Uint16Array) : new Uint16Array(count);
-  const [place, color] = [new Uint16Array(4 * count), new Uint8Array(4 * count)];
+  const [place, normal, color] = [Uint16Array, Int8Array, Uint8Array].map((Kind) => new Kind(4 * count));
   for (let v = 0; v < count; ++v) {
     for (let k = 0; k < 3; ++k) {
       place[4 * v + k] = axes[k][v];
+      normal[4 * v + k] = normals[k][v];
       color[4 * v + k] = channels[k][v];
     }
     place[4 * v + 3] = labels[v];
     color[4 * v + 3] = entropy[v];
   }
-  return {corners, place, color, object};
+  return {corners, place, normal, color, object};
 }
 
 /// Corners of a lighter mesh of the same vertices: the first in each cell stands for all, and what shrinks to a line goes.
@@ -76,15 +78,17 @@ layout(location = 0) in vec3 steps;
 layout(location = 1) in vec4 photo;
 layout(location = 2) in uint label;
 layout(location = 3) in uint object;
+layout(location = 4) in vec3 normal;
 uniform mat4 clip_from_world, eye_from_world;
 uniform vec3 low, per_step;
 out vec4 color;
-out vec3 place;
+out vec3 place, facing;
 flat out uint shown_label, shown_object;
 void main() {
   vec4 world = vec4(low + steps * per_step, 1.0);
   gl_Position = clip_from_world * world;
   place = (eye_from_world * world).xyz;
+  facing = mat3(eye_from_world) * normal;
   color = photo;
   shown_label = label;
   shown_object = object;
@@ -93,7 +97,7 @@ const kFragment = `#version 300 es
 precision highp float;
 precision highp int;
 in vec4 color;
-in vec3 place;
+in vec3 place, facing;
 flat in uint shown_label, shown_object;
 uniform int mode;
 uniform uint classes;
@@ -114,8 +118,7 @@ void main() {
     object_number = in_bytes(shown_object);
     return;
   }
-  vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
-  float light = 0.55 + 0.45 * abs(normal.z);
+  float light = 0.55 + 0.45 * abs(normalize(facing).z);
   vec3 shown = color.rgb;
   if (mode == 1) shown = of_class.rgb * light;
   if (mode == 2) shown = (shown_object == 0u ? 0.35 * vec3(dot(color.rgb, vec3(0.3, 0.6, 0.1))) + 0.12 : of_thing.rgb) * light;
@@ -139,7 +142,9 @@ export class Layer {
     gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 4, 0);
     this.objectBuffer = this.buffer(gl.ARRAY_BUFFER, mesh.object);
     gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_SHORT, 2, 0);
-    for (const index of [0, 1, 2, 3]) gl.enableVertexAttribArray(index);
+    this.buffer(gl.ARRAY_BUFFER, mesh.normal);
+    gl.vertexAttribPointer(4, 3, gl.BYTE, true, 4, 0);
+    for (const index of [0, 1, 2, 3, 4]) gl.enableVertexAttribArray(index);
     this.fine = {buffer: this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners), count: mesh.corners.length};
     this.classes = this.palette([...facts.classes.map(({color}) => color), kGrey]);
     this.setObjects(facts.objects);
@@ -184,6 +189,15 @@ export class Layer {
     const {buffer, count} = light ? this.light : this.fine;
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
     return count;
+  }
+  /// [place, normal] of about 2,000 vertices.
+  points() {
+    const {place, normal} = this.mesh;
+    const {low, high} = this.facts;
+    const three = [0, 1, 2];
+    const stride = 4 * Math.ceil(place.length / 8000);
+    const from = Array.from({length: Math.floor(place.length / (stride || 4))}, (_, i) => i * stride);
+    return from.map((at) => [three.map((k) => low[k] + place[at + k] * (high[k] - low[k]) / 65535), three.map((k) => normal[at + k])]);
   }
   drop() { this.drawing.gl.deleteVertexArray(this.array); }
 }

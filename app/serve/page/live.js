@@ -6,29 +6,34 @@ import {Layer, bytesOf, inflated, unpacked} from './drawing.js';
 const kSizes_px = [240, 640, 1600];  // longest sides of rendered pictures, one after another
 const kRest_ms = 250;                // the camera rests
 
-/// The run's mesh, coarse at first.
-export async function liveScene(isFine) {
-  const {facts, mesh} = await getScene(isFine);
+/// The run with a mesh: 0 none, which is there at once, 1 a coarse one, 2 a fine one.
+export async function liveScene(number) {
+  const {facts, mesh} = await getScene(number);
   return {facts, mesh: unpacked(await inflated(mesh), facts)};
 }
 
 export class Live {
   constructor(page) {
     this.page = page;
-    this.fineScene().then(({facts, mesh}) => {
-      page.replace(new Layer(page.drawing, facts, mesh));
-      document.body.dataset.mesh = 'fine';
-    }).catch((error) => this.refuse(error));
+    this.loadMeshes().catch((error) => this.refuse(error));
     page.followProgram();
-    this.drop();
+    this.drop(0);
   }
 
   refuse({message, remedy}) { this.page.messages.refuse(message, remedy); }
 
-  /// The fine mesh, with the objects as they are after every edit that was made here meanwhile.
-  async fineScene() {
+  async loadMeshes() {
+    for (const [number, name] of [[1, 'coarse'], [2, 'fine']]) {
+      const {facts, mesh} = await this.scene(number);
+      this.page.replace(new Layer(this.page.drawing, facts, mesh));
+      document.body.dataset.mesh = name;
+    }
+  }
+
+  /// A mesh, with the objects as they are after every edit that was made here meanwhile.
+  async scene(number) {
     for (let tries = 0;; ++tries) {
-      const scene = await liveScene(true);
+      const scene = await liveScene(number);
       const {objects, facts} = this.page;
       if (tries > 20 || (!objects.saving && (tries > 0 || scene.facts.state === facts.state))) return scene;
       await new Promise((resolve) => setTimeout(resolve, 100));
@@ -36,13 +41,13 @@ export class Live {
   }
 
   /// The picture is of another view or in other colours: a new one comes when the camera rests.
-  drop() {
+  drop(rest_ms = kRest_ms) {
     this.pending?.abort();
     this.image = null;
     byId('still').hidden = true;
     document.body.dataset.still = 'none';
     clearTimeout(this.rest);
-    this.rest = setTimeout(() => this.render(), kRest_ms);
+    this.rest = setTimeout(() => this.render(), rest_ms);
   }
 
   async render() {
@@ -57,7 +62,7 @@ export class Live {
     try {
       for (const size of kSizes_px.filter((s) => s < longest).concat(Math.min(longest, kSizes_px.at(-1)))) {
         const [width, height] = [canvas.width, canvas.height].map((side) => Math.max(16, Math.round(Math.min(1, size / longest) * side)));
-        const image = await postBitmap('./picture', {camera: from, width, height, map: mode, depths: camera.depths()}, pending.signal);
+        const image = await postBitmap('./picture', {camera: from, width, height, map: mode, range: page.range()}, pending.signal);
         if (pending.signal.aborted) return;
         this.image = image;
         Object.assign(still, {width: canvas.width, height: canvas.height, hidden: false});
@@ -84,7 +89,7 @@ export class Live {
 
   async edit(what) {
     const {facts} = this.page;
-    const after = await postJson('./edit', {...what, made_on: facts.state, fine: facts.fine});
+    const after = await postJson('./edit', {...what, made_on: facts.state, mesh: facts.mesh});
     Object.assign(facts, {edits: after.edits, state: after.state});
     return {...after, ids: new Uint16Array(bytesOf(after.ids).buffer)};
   }

@@ -9,6 +9,7 @@ import {Messages, Page} from './page.js';
 const kStill_ms = 250;                   // the camera stands still
 const kMostRatio = 2;                    // of pixels, each of which costs
 const kInside = window !== window.parent;  // of another page
+const kMark = '#ffd54a';                 // of points and what is measured
 const kFlights = {w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, -1, 0], e: [0, 1, 0]};
 
 class ViewPage extends Page {
@@ -22,20 +23,23 @@ class ViewPage extends Page {
     document.title = isLive ? `${facts.run} - Semfield` : facts.title;
     byId('about').lastElementChild.append(...facts.about.map((line) => make('p', {}, line)));
     for (const id of ['class', 'entropy', 'class-list']) byId(id).hidden = !facts.labels;
+    this.isFitted = false;
+    this.camera.setBox(facts, this.layer.points());
     byId('inside').parentElement.hidden = facts.eye === undefined;
     if (this.canvas.clientWidth < 600 || this.canvas.clientHeight < 600) byId('class-list').open = false;
     this.listClasses();
     this.connect();
     this.resize();
-    if (facts.eye === undefined) this.camera.fit();
+    if (facts.eye === undefined) this.look('fit');
     else this.camera.goInside();
     this.live = isLive ? new Live(this) : null;
   }
 
   get facts() { return this.layer.facts; }
 
-  /// What the program says: the newest step of the run.
-  take({newest}, anew) {
+  /// What the program says: the newest step of the run, and how much of which mesh is made, in thousandths.
+  take({newest, mesh, made}, anew) {
+    if (made < 1000) this.tellConnection(`${mesh === 2 ? 'A finer mesh' : 'The mesh'} is being made: ${Math.floor(made / 10)} %`, 'waiting');
     if (newest > this.facts.step) this.tellConnection(`Step ${newest} is there: load the page again to see it.`);
     if (anew) this.changed();
   }
@@ -44,9 +48,10 @@ class ViewPage extends Page {
   replace(layer) {
     const old = this.layer;
     old.facts.classes.forEach((_, i) => layer.mark(layer.classes, i, old.classes.bytes[4 * i + 3]));
-    if (String([old.facts.low, old.facts.high]) !== String([layer.facts.low, layer.facts.high])) this.camera.diagonal = distance(layer.facts.low, layer.facts.high);
+    this.camera.setBox(layer.facts, layer.points());
     old.drop();
     this.layer = layer;
+    if (this.isFitted) this.look('fit');
     this.objects.refresh();
   }
 
@@ -64,10 +69,27 @@ class ViewPage extends Page {
   /// Whether a list hides something, which a rendered picture would show.
   hides() { return document.querySelector('#panel input[type="checkbox"]:not(:checked)') !== null; }
 
+  /// What panel and hint leave of the canvas.
+  free() {
+    const {width, height} = this.camera.screen;
+    const [panel, hint] = ['panel', 'hint'].map((id) => byId(id).getBoundingClientRect());
+    const isAside = panel.width < width / 2;
+    return {left: isAside ? panel.right : 0, top: isAside ? 0 : panel.bottom, right: width, bottom: hint.height > 0 ? hint.top : height};
+  }
+
+  look(how, ...values) {
+    this.isFitted = how === 'fit';
+    super.look(how, ...(this.isFitted ? [this.free()] : values));
+  }
+
+  /// Depths or entropies that colours span.
+  range() { return this.mode === 'entropy' ? [0, this.facts.entropy] : this.camera.depths(); }
+
   /// A room has walls for the field: from outside, its mesh alone is open.
   isBeforeAWall() {
     const {eye, low, high} = this.facts;
-    return eye !== undefined && this.camera.place.some((v, i) => v < low[i] || v > high[i]);
+    const slack = 0.02 * this.camera.diagonal;  // a scan's cameras may stand outside of what they saw
+    return eye !== undefined && this.camera.place.some((v, i) => v < Math.min(low[i], eye[i]) - slack || v > Math.max(high[i], eye[i]) + slack);
   }
 
   // Buttons, the hand and keys.
@@ -165,12 +187,15 @@ class ViewPage extends Page {
     };
     requestAnimationFrame(step);
   }
-  /// What is seen, as a PNG: the mesh, or the rendered picture over it.
-  picture() {
+  /// What is seen, as a PNG: the mesh, or the rendered picture over it, and what is marked and measured.
+  async picture() {
     const both = make('canvas', {width: this.canvas.width, height: this.canvas.height});
     const context = both.getContext('2d');
     context.drawImage(this.canvas, 0, 0);
     if (this.live?.image) context.drawImage(byId('still'), 0, 0, both.width, both.height);
+    const marks = make('img', {src: `data:image/svg+xml,${encodeURIComponent(new XMLSerializer().serializeToString(byId('marks')))}`});
+    await marks.decode();
+    context.drawImage(marks, 0, 0, both.width, both.height);
     return new Promise((done) => both.toBlob(done, 'image/png'));
   }
 
@@ -189,7 +214,7 @@ class ViewPage extends Page {
     const colors = [...byId('colors').children].map(({id}) => [id, id === this.mode]);
     setPressed({inside: isInside, outside: !isInside, ...Object.fromEntries(colors)});
     const [nearest, farthest] = this.camera.depths().map((v) => `${lengthText(v, this.facts, 2)} ${this.facts.unit}`);
-    showLegend({entropy: ['certain', 'uncertain'], depth: [farthest, nearest]}[this.mode]);
+    showLegend({entropy: ['certain', `${this.facts.entropy.toPrecision(2)} nats`], depth: [farthest, nearest]}[this.mode]);
     this.drawMarks();
     this.tellPoints();
     this.objects.tell();
@@ -237,14 +262,27 @@ class ViewPage extends Page {
       for (const [key, value] of Object.entries(values)) one.setAttribute(key, value);
       return one;
     };
-    const line = (ends, kind) => {
+    const line = (ends, kind, look) => {
       const [from, to] = ends.map((place) => this.camera.toScreen(place));
-      return from && to ? [element('line', {x1: from[0], y1: from[1], x2: to[0], y2: to[1], class: kind})] : [];
+      return from && to ? [element('line', {x1: from[0], y1: from[1], x2: to[0], y2: to[1], class: kind, ...look})] : [];
     };
+    const {width, height} = this.camera.screen;
     const places = this.points.map(({place}) => place);
-    const dots = places.map((place) => this.camera.toScreen(place)).filter(Boolean).map(([cx, cy]) => element('circle', {cx, cy, r: 5}));
-    byId('marks').replaceChildren(...this.objects.edges().flatMap((ends) => line(ends, 'box')), ...(places.length === 2 ? line(places, 'measure') : []), ...dots);
+    const seen = places.map((place) => this.camera.toScreen(place)).filter(Boolean);
+    const dots = seen.map(([cx, cy]) => element('circle', {cx, cy, r: 5, fill: kMark, stroke: '#14161a', 'stroke-width': 1.5}));
+    const measure = places.length === 2 ? line(places, 'measure', {stroke: kMark, 'stroke-width': 2}) : [];
+    if (measure.length > 0) {
+      const within = (v, margin, most) => Math.max(margin, Math.min(most - margin, v));
+      const at = {x: within((seen[0][0] + seen[1][0]) / 2, 50, width), y: within((seen[0][1] + seen[1][1]) / 2 - 10, 20, height)};
+      measure.push(element('text', {...at, 'text-anchor': 'middle', fill: kMark, stroke: '#14161a', 'stroke-width': 4, 'paint-order': 'stroke', 'font-family': 'sans-serif', 'font-size': 15, 'font-weight': 600}));
+      measure[1].textContent = this.distanceText();
+    }
+    const boxes = this.objects.edges().flatMap((ends) => line(ends, 'box', {stroke: '#fff', opacity: 0.8}));
+    for (const [key, value] of Object.entries({width, height})) byId('marks').setAttribute(key, value);
+    byId('marks').replaceChildren(...boxes, ...measure, ...dots);
   }
+
+  distanceText() { return `${lengthText(distance(this.points[0].place, this.points[1].place), this.facts)} ${this.facts.unit}`; }
 
   tellPoints() {
     const {unit, labels, classes} = this.facts;
@@ -252,7 +290,7 @@ class ViewPage extends Page {
       const name = labels ? `${told ?? classes[label]?.name ?? 'no class'} at ` : '';
       return `${name}${place.map((v) => lengthText(v, this.facts)).join(', ')} ${unit}`;
     });
-    if (this.points.length === 2) lines.push(`distance ${lengthText(distance(this.points[0].place, this.points[1].place), this.facts)} ${unit}`);
+    if (this.points.length === 2) lines.push(`distance ${this.distanceText()}`);
     setText(byId('readout'), lines.join('\n'));
   }
 }
@@ -262,10 +300,10 @@ async function openPage() {
   document.body.classList.toggle('inside', kInside);
   const [told, mesh] = [byId('facts'), byId('mesh')];  // of a file that stands alone
   const facts = told && JSON.parse(told.textContent);
-  const scene = facts ? {facts, mesh: unpacked(await inflated(bytesOf(mesh.textContent)), facts)} : await liveScene(false);
+  const scene = facts ? {facts, mesh: unpacked(await inflated(bytesOf(mesh.textContent)), facts)} : await liveScene(0);
   mesh?.remove();
+  document.body.dataset.state = 'ready';  // the panel has a size from here on
   window.semfield = new ViewPage(scene, facts === null);
-  document.body.dataset.state = 'ready';
 }
 
 openPage().catch(({message, remedy}) => {

@@ -343,7 +343,7 @@ void write_strip(const RunFolder& folder, const Session& s, int frame, const Ren
                      s.scene.info.classes));
   write_label_ids(path("label"), size, maps.label, s.scene.info.classes);
   rgb("label_vis", label_colors(maps.label, s.scene.info.classes));
-  rgb("entropy_vis", entropy_colors(maps.entropy, static_cast<int>(s.plan.class_of_logit.size())));
+  rgb("entropy_vis", entropy_colors(maps.entropy, std::log(s.plan.class_of_logit.size())));
 }
 
 std::string score_text(const FrameScore& score) {

@@ -10,7 +10,7 @@ namespace semfield {
 
 namespace {
 constexpr std::int64_t kBatch = std::int64_t{1} << 16;  // points, or rays, evaluated at once
-constexpr float kLeastOpacity = 1e-3F;                  // below it a colour is rounding alone
+constexpr float kLeastOpacity = 1e-3F;                  // below it a ray meets nothing
 constexpr std::size_t kLevels = 19;
 constexpr double kMostCellsOff = 8;
 
@@ -63,53 +63,15 @@ Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& r
   return surface;
 }
 
-SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays) {
-  SightLines lines;
-  std::vector<double> origin, direction, near_far;
-  const auto each = std::max<std::int64_t>(1, rays / std::max<std::int64_t>(1, std::ssize(cameras)));
-  for (const RayCamera& camera : cameras) {
-    const auto pixels = std::int64_t{camera.camera.width_px} * camera.camera.height_px;
-    for (std::int64_t k = 0; k < std::min(each, pixels); ++k) {
-      // The golden ratio spreads any number of pixels evenly, and differently for every camera.
-      const double turn = (static_cast<double>(k) + 0.5) / static_cast<double>(each);
-      const auto row = static_cast<std::int32_t>(turn * camera.camera.height_px);
-      const double across = 0.6180339887498949 * static_cast<double>(k + std::ssize(origin));
-      const auto column = static_cast<std::int32_t>((across - std::floor(across)) * camera.camera.width_px);
-      const std::size_t at = near_far.size() / 2;
-      origin.resize(3 * at + 3);
-      direction.resize(3 * at + 3);
-      near_far.resize(2 * at + 2);
-      cast_ray(camera, limits, column, row, &origin[3 * at], &direction[3 * at], &near_far[2 * at]);
-    }
-  }
-  const auto count = static_cast<std::int64_t>(near_far.size() / 2);
-  std::vector<float> depth(static_cast<std::size_t>(count)), opacity(depth.size());
-  RenderJob<float> job;
-  job.origin = {origin.data(), count, 3};
-  job.direction = {direction.data(), count, 3};
-  job.near_far = {near_far.data(), count, 2};
-  job.depth = {depth.data(), count, 1};
-  job.opacity = {opacity.data(), count, 1};
-  if (count > 0) pipeline.executor().render(job);
-  for (std::size_t r = 0; r < depth.size(); ++r) {
-    if (!(opacity[r] >= 0.5F)) continue;
-    lines.origin.push_back({origin[3 * r], origin[3 * r + 1], origin[3 * r + 2]});
-    lines.direction.push_back({direction[3 * r], direction[3 * r + 1], direction[3 * r + 2]});
-    lines.near.push_back(near_far[2 * r]);
-    lines.surface.push_back(static_cast<double>(depth[r]) / static_cast<double>(opacity[r]));
-  }
-  return lines;
-}
-
-double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines) {
+double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, std::span<const DepthView> views,
+                    const RayLimits& limits) {
   const double spacing = request.grid.spacing, most = kMostCellsOff * spacing;
   const Vec3d last{static_cast<double>(request.grid.nx - 1), static_cast<double>(request.grid.ny - 1),
                    static_cast<double>(request.grid.nz - 1)};
   const Box box{request.grid.world({0, 0, 0}), request.grid.world(last)};
   std::array<double, kLevels> off{};
   struct Line {
-    std::size_t number;  // of lines
-    double from, to;
+    double surface, from, to;
     bool ends_at_border;
     std::size_t begin, end;  // of its points
   };
@@ -122,156 +84,93 @@ double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& reque
     pipeline.executor().density({position.data(), points, 3}, {sigma.data(), points, 1});
     for (const Line& line : asked) {
       const std::span<const float> densities(sigma.data() + line.begin, line.end - line.begin);
-      const double surface = lines.surface[line.number];
       for (std::size_t k = 0; k < kLevels; ++k) {
         const double level = candidate(spacing, k);
         const auto first =
             std::find_if(densities.begin(), densities.end(), [&](float s) { return static_cast<double>(s) > level; });
         double at = line.from + static_cast<double>(first - densities.begin()) * spacing;
-        if (first == densities.end()) at = line.ends_at_border ? line.to : surface + most;
-        off[k] += std::min(most, std::abs(at - surface));
+        if (first == densities.end()) at = line.ends_at_border ? line.to : line.surface + most;
+        off[k] += std::min(most, std::abs(at - line.surface));
       }
     }
     asked.clear();
     position.clear();
   };
-  for (std::size_t r = 0; r < lines.surface.size(); ++r) {
+  const auto add_line = [&](Vec3d origin, Vec3d direction, double near, double surface) {
     // Beyond the surface by more than counts, nothing is learned; a border that is opaque ends every line.
     double enter = 0, leave = 0;
-    if (!intersect(box, lines.origin[r], lines.direction[r], enter, leave)) continue;
-    const double from = std::max(lines.near[r], enter), to = std::min(lines.surface[r] + most, leave);
+    if (!intersect(box, origin, direction, enter, leave)) return;
+    const double from = std::max(near, enter), to = std::min(surface + most, leave);
     const auto steps = static_cast<std::int64_t>(std::max(0.0, (to - from) / spacing)) + 1;
     const std::size_t begin = position.size() / 3;
     asked.push_back(
-        {r, from, to, request.opaque_border && to == leave, begin, begin + static_cast<std::size_t>(steps)});
+        {surface, from, to, request.opaque_border && to == leave, begin, begin + static_cast<std::size_t>(steps)});
     for (std::int64_t i = 0; i < steps; ++i) {
-      const Vec3d p = lines.origin[r] + lines.direction[r] * (from + static_cast<double>(i) * spacing);
+      const Vec3d p = origin + direction * (from + static_cast<double>(i) * spacing);
       for (int axis = 0; axis < 3; ++axis) position.push_back(p[axis]);
     }
     if (std::ssize(position) >= 3 * kBatch) compare();
+  };
+  for (const DepthView& view : views) {
+    for (std::size_t i = 0; i < view.map.distance_m.size(); ++i) {
+      if (!(view.map.distance_m[i] > 0)) continue;
+      const PixelPlace at = strided_place(static_cast<std::int64_t>(i), view.map.width_px, view.map.stride);
+      std::array<double, 3> o{}, d{};
+      std::array<double, 2> near_far{};
+      cast_ray(view.camera, limits, at.column, at.row, o.data(), d.data(), near_far.data());
+      add_line({o[0], o[1], o[2]}, {d[0], d[1], d[2]}, near_far[0], static_cast<double>(view.map.distance_m[i]));
+    }
   }
   if (!asked.empty()) compare();
   const auto best = std::min_element(off.begin(), off.end()) - off.begin();
   return candidate(spacing, static_cast<std::size_t>(best));
 }
 
-namespace {
-
-// Rays to some vertices.
-struct VertexRays {
-  explicit VertexRays(std::size_t rows)
-      : origin(3 * rows),
-        direction(3 * rows),
-        near_far(2 * rows),
-        color(3 * rows),
-        opacity(rows),
-        entropy(rows),
-        label(rows) {}
-
-  // The camera's own ray through a vertex, as rendering casts it.
-  void set(std::size_t r, Vec3d along, const RayCamera& eye, const RayLimits& limits) {
-    ray_of_direction(eye.world_from_camera.unrotate(along), eye.world_from_camera,
-                     {eye.camera.has_finite_lens(), eye.camera.is_wide()}, limits, &origin[3 * r], &direction[3 * r],
-                     &near_far[2 * r]);
-  }
-  // A short one, from `offset` before the vertex to as far behind it.
-  void set(std::size_t r, Vec3d point, Vec3d along, double offset, const RayLimits& limits) {
-    const Vec3d o = point - along * offset;
-    double enter = 0, leave = 2 * offset;
-    if (limits.clip) {
-      double in = 0, past = 0;
-      const bool meets = intersect(limits.bounds, o, along, in, past);
-      enter = meets ? std::min(in, leave) : 0;
-      leave = meets ? std::max(enter, std::min(past, leave)) : 0;
-    }
-    near_far[2 * r] = enter;
-    near_far[2 * r + 1] = leave;
-    for (int axis = 0; axis < 3; ++axis) {
-      origin[3 * r + static_cast<std::size_t>(axis)] = o[axis];
-      direction[3 * r + static_cast<std::size_t>(axis)] = along[axis];
-    }
-  }
-  RenderJob<float> job(std::int64_t count, bool semantics) {
+PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, std::span<const RayCamera> cameras,
+                                  std::span<const Sights> sights, const RayLimits& limits,
+                                  const ClassOfLogit& class_of_logit) {
+  PointAttributes out;
+  if (!pipeline.has_semantics()) return out;
+  out.label.assign(surface.positions.size(), kVoid);
+  const auto most = static_cast<float>(std::log(static_cast<double>(class_of_logit.size())));
+  out.entropy.assign(surface.positions.size(), most);
+  std::vector<double> origin, direction, near_far;
+  std::vector<std::size_t> vertex;  // of each ray
+  const auto render = [&] {
+    const auto count = std::ssize(vertex);
+    std::vector<float> opacity(vertex.size()), entropy(vertex.size());
+    std::vector<std::int16_t> label(vertex.size());
     RenderJob<float> job;
     job.origin = {origin.data(), count, 3};
     job.direction = {direction.data(), count, 3};
     job.near_far = {near_far.data(), count, 2};
-    job.color = {color.data(), count, 3};
     job.opacity = {opacity.data(), count, 1};
-    if (!semantics) return job;
     job.label = {label.data(), count, 1};
     job.entropy = {entropy.data(), count, 1};
-    return job;
-  }
-
-  std::vector<double> origin, direction, near_far;
-  std::vector<float> color, opacity, entropy;
-  std::vector<std::int16_t> label;
-};
-
-}  // namespace
-
-PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
-                                  const RayLimits& limits, const ClassOfLogit& class_of_logit) {
-  const bool semantics = pipeline.has_semantics();
-  const std::size_t points = surface.positions.size();
-  PointAttributes out;
-  out.color.resize(points);
-  if (semantics) {
-    out.label.resize(points);
-    out.entropy.resize(points);
-  }
-  constexpr std::size_t kPoints = kBatch / Sights::kMost;
-  std::vector<Looks> looks(std::min(points, kPoints));
-  std::vector<std::size_t> first(looks.size() + 1);
-  VertexRays rays(looks.size() * Sights::kMost);
-  const std::array<double, 3> background = pipeline.options().rules.background();
-  for (std::size_t begin = 0; begin < points; begin += kPoints) {
-    const std::size_t count = std::min(kPoints, points - begin);
-    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
-      const std::size_t i = begin + static_cast<std::size_t>(at);
-      looks[static_cast<std::size_t>(at)] = looks_at(surface.positions[i], surface.normals[i],
-                                                     watch.sights.empty() ? Sights{} : watch.sights[i], watch.cameras);
-    });
-    for (std::size_t i = 0; i < count; ++i) first[i + 1] = first[i] + looks[i].count;
-    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
-      const auto i = static_cast<std::size_t>(at);
-      for (std::size_t k = 0; k < looks[i].count; ++k) {
-        const Vec3d along = looks[i].direction[k];
-        if (const std::int32_t eye = looks[i].eye[k]; eye >= 0) {
-          rays.set(first[i] + k, along, watch.cameras[static_cast<std::size_t>(eye)], limits);
-        } else {
-          rays.set(first[i] + k, surface.positions[begin + i], along, offset, limits);
-        }
-      }
-    });
-    pipeline.executor().render(rays.job(static_cast<std::int64_t>(first[count]), semantics));
-    for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
-      const auto i = static_cast<std::size_t>(at);
-      std::array<double, 3> sum{};
-      double met = 0;
-      std::size_t surest = first[i];
-      bool any = false;
-      for (std::size_t k = 0; k < looks[i].count; ++k) {
-        const std::size_t r = first[i] + k;
-        if (!(rays.opacity[r] > kLeastOpacity)) continue;
-        if (!any || rays.entropy[r] < rays.entropy[surest]) surest = r;
-        any = true;
-        met += looks[i].weight[k];
-        for (std::size_t c = 0; c < 3; ++c) {
-          const double behind = (1 - static_cast<double>(rays.opacity[r])) * background[c];
-          const double value =
-              (static_cast<double>(rays.color[3 * r + c]) - behind) / static_cast<double>(rays.opacity[r]);
-          sum[c] += looks[i].weight[k] * std::clamp(value, 0.0, 1.0);
-        }
-      }
-      for (std::size_t c = 0; c < 3 && any; ++c)
-        out.color[begin + i][c] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, sum[c] / met)));
-      if (!semantics) return;
-      out.label[begin + i] =
-          any ? static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(rays.label[surest])]) : kVoid;
-      out.entropy[begin + i] = rays.entropy[surest];
-    });
+    pipeline.executor().render(job);
+    for (std::size_t r = 0; r < vertex.size(); ++r) {
+      const bool better = out.label[vertex[r]] == kVoid || entropy[r] < out.entropy[vertex[r]];
+      if (!(opacity[r] > kLeastOpacity && better)) continue;
+      out.label[vertex[r]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(label[r])]);
+      out.entropy[vertex[r]] = entropy[r];
+    }
+    vertex.clear();
+  };
+  for (std::size_t v = 0; v < sights.size(); ++v) {
+    for (const std::int32_t number : sights[v].camera) {
+      if (number < 0) continue;
+      const RayCamera& eye = cameras[static_cast<std::size_t>(number)];
+      const std::size_t r = vertex.size();
+      vertex.push_back(v);
+      origin.resize(3 * r + 3);
+      direction.resize(3 * r + 3);
+      near_far.resize(2 * r + 2);
+      const Vec3d along = normalized(surface.positions[v] - eye.world_from_camera.t);
+      ray_of_direction(eye.world_from_camera.unrotate(along), eye.world_from_camera,
+                       {eye.camera.has_finite_lens(), eye.camera.is_wide()}, limits, &origin[3 * r], &direction[3 * r],
+                       &near_far[2 * r]);
+    }
+    if (std::ssize(vertex) + std::ssize(sights[v].camera) > kBatch || v + 1 == sights.size()) render();
   }
   return out;
 }
@@ -283,7 +182,8 @@ constexpr double kLeastFusedCosine = 0.2, kSlantCosine = 0.5;
 // Four pixels whose distances differ by more cells, and more than those of a face at kLeastFusedCosine would, lie on
 // both sides of an edge.
 constexpr double kEdgeCells = 1.5, kMostSlope = 4.9;  // the tangent of that angle
-constexpr int kLeastAgree = 2;                        // views; of a point that a single one can see, that one
+constexpr int kSmoothRounds = 10;
+constexpr int kLeastAgree = 2;  // views; of a point that a single one can see, that one
 
 // A view asked at points of space.
 class Witness {
@@ -382,8 +282,9 @@ double solidity(std::span<const Witness> witnesses, Vec3d point, double cell) {
   return weights > 0 ? -sum / weights : 1;
 }
 
-// Whether views put a surface within `most` of the point: kLeastAgree of those that can see so far, or all of fewer.
-bool is_agreed(std::span<const Witness> witnesses, Vec3d point, Vec3d normal, double most) {
+// Whether views put a surface within `most` of the point: kLeastAgree of those that can see so far, or all of fewer;
+// of guesses kLeastGuesses and half of them.
+bool is_agreed(std::span<const Witness> witnesses, Vec3d point, Vec3d normal, double most, bool guessed) {
   int agree = 0, can_see = 0;
   for (const Witness& witness : witnesses) {
     const double cosine = std::abs(witness.cosine(point, normal));
@@ -393,9 +294,9 @@ bool is_agreed(std::span<const Witness> witnesses, Vec3d point, Vec3d normal, do
     if (!reading || reading->own > reading->seen + along) continue;
     ++can_see;
     if (!reading->at_edge && std::abs(reading->seen - reading->own) <= along) ++agree;
-    if (agree >= kLeastAgree) return true;
+    if (!guessed && agree >= kLeastAgree) return true;
   }
-  return agree > 0 && agree == can_see;
+  return guessed ? agree >= kLeastGuesses && 2 * agree >= can_see : agree > 0 && agree == can_see;
 }
 
 }  // namespace
@@ -415,7 +316,7 @@ std::vector<DepthView> depth_views(Pipeline<float>& pipeline, std::span<const Ra
   return views;
 }
 
-Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits, const VoxelGrid& grid) {
+Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits, const VoxelGrid& grid, bool guessed) {
   std::vector<Witness> witnesses;
   for (const DepthView& view : views) witnesses.emplace_back(view, limits, grid.spacing);
   Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
@@ -431,11 +332,17 @@ Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits,
   parallel_for((std::ssize(agreed) + 1023) / 1024, [&](std::int64_t block) {
     const auto end = std::min(agreed.size(), static_cast<std::size_t>((block + 1) * 1024));
     for (auto i = static_cast<std::size_t>(block * 1024); i < end; ++i)
-      agreed[i] = is_agreed(witnesses, surface.positions[i], surface.normals[i], kAgreeCells * grid.spacing) ? 1 : 0;
+      agreed[i] =
+          is_agreed(witnesses, surface.positions[i], surface.normals[i], kAgreeCells * grid.spacing, guessed) ? 1 : 0;
   });
+  if (guessed) {
+    const Edges edges = edges_of(surface);
+    for (const int rings : {kSlitRings, -2 * kSlitRings, kSlitRings}) agreed = grown(edges, std::move(agreed), rings);
+  }
   std::vector<char> keep;
   for (const Triangle& t : surface.triangles) keep.push_back(agreed[t[0]] & agreed[t[1]] & agreed[t[2]]);
   keep_triangles(surface, keep);
+  if (guessed) smooth(surface, kSmoothRounds);
   set_vertex_normals(surface);
   return surface;
 }

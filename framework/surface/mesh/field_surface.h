@@ -30,34 +30,12 @@ struct SurfaceRequest {
 /// to its empty neighbour. Triangles face the empty side; normals are set.
 Surface density_surface(const Pipeline<float>& pipeline, const SurfaceRequest& request);
 
-/// Rays [R] from cameras and the distances along them at which rendering puts the surface, for choose_level.
-struct SightLines {
-  std::vector<Vec3d> origin, direction;  ///< unit directions
-  std::vector<double> near, surface;     ///< along the ray
-};
-
-/// Up to about `rays` sight lines spread over the cameras' pixels; rays with an opacity under 1/2 are left out.
-SightLines look(Pipeline<float>& pipeline, std::span<const RayCamera> cameras, const RayLimits& limits, int rays);
-
-/// The density whose first crossing along the sight lines lies nearest to where rendering puts the surface: the mean
-/// distance, at most eight cells per line, is least among half_opaque_density(spacing) * 2^(-k/2), k = 0..18. A field
-/// that was trained briefly is soft: one fixed level would lose its walls or inflate its objects.
-double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, const SightLines& lines);
-
-/// Who looks at the vertices of a surface; without sights everybody looks along the negative normal.
-struct Watch {
-  std::span<const RayCamera> cameras;
-  std::span<const Sights> sights;  ///< per vertex, numbers of `cameras`
-};
-
-/// Colour, class and entropy of the vertices: what the cameras of looks_at show of them, along the whole of their rays.
-/// A field that was trained briefly is soft, and its colour is right in the sum along a ray: a part of it, within some
-/// cells of the surface, is a guess, and on real photographs a wild one. So is the colour in a direction that no camera
-/// had. What no camera sees is looked at by short rays, from `offset` before the surface to `offset` behind it [Zhi21,
-/// Sec. 4]. Colour is that of what a ray met, divided by its opacity, and the weighted mean of
-/// the rays; class and entropy are those of the surest. Where no ray meets anything: black and kVoid.
-PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
-                                  const RayLimits& limits, const ClassOfLogit& class_of_logit);
+/// Class and entropy of the vertices, those of the surest of the cameras that see them, along the whole of their rays:
+/// a field that was trained briefly is soft, and a part of a ray, within some cells of the surface, is a guess. What no
+/// camera sees, or no ray meets: kVoid and the most entropy. Without semantics there are none.
+PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, std::span<const RayCamera> cameras,
+                                  std::span<const Sights> sights, const RayLimits& limits,
+                                  const ClassOfLogit& class_of_logit);
 
 // Depth of many views fused into signed distances [Curless96]: a surface where cameras saw one, and none where none
 // did.
@@ -78,13 +56,25 @@ std::vector<DepthView> depth_views(Pipeline<float>& pipeline, std::span<const Ra
                                    const RayLimits& limits, std::int64_t rays,
                                    const std::function<void(std::size_t)>& done = {});
 
+/// The density whose first crossing along the views' rays lies nearest to where they put the surface: the mean
+/// distance, at most eight cells per ray, is least among half_opaque_density(spacing) * 2^(-k/2), k = 0..18. A field
+/// that was trained briefly is soft: one fixed level would lose its walls or inflate its objects.
+double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& request, std::span<const DepthView> views,
+                    const RayLimits& limits);
+
 /// The surface that the views' depth agrees on. At a point of the grid each view whose pixel there shows something at
 /// distance d, or farther, says d - r, r the point's own distance, cut off at kTruncationCells. A view whose surface
 /// lies more than that before the point says nothing, and a pixel at an edge of depth says what is empty and no
 /// more. The mean, weighted by 1 / r, is 0 on the surface. What no view speaks of is taken for solid. Triangles stay
 /// where at least two views, or the only one that can see so far, put each corner within kAgreeCells of their depth,
 /// across the surface. Normals are set.
-Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits, const VoxelGrid& grid);
+///
+/// `guessed`: nothing but photographs told the depth, and views that guess alike are few. Triangles stay where
+/// kLeastGuesses views agree, and half of those that can see; slits of up to 2 * kSlitRings edges are filled, strips as
+/// narrow are dropped, and the surface is smoothed.
+Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits, const VoxelGrid& grid,
+                      bool guessed = false);
 inline constexpr double kAgreeCells = 2;
+inline constexpr int kLeastGuesses = 3, kSlitRings = 3;
 
 }  // namespace semfield

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
 
 #include "compute/parallel.h"
 #include "core/check.h"
@@ -11,10 +13,13 @@ namespace semfield {
 
 namespace {
 
-constexpr std::int32_t kMostPixels = 512;    // a side of a depth image
-constexpr double kBehindCells = 1.5;         // a vertex is still on the surface
-constexpr double kLeastCosine = 0.05;        // between a normal and the way to the camera: three degrees
-constexpr std::int64_t kCamerasAtOnce = 16;  // each has a number per vertex in memory
+constexpr std::int32_t kMostPixels = 512;  // a side of a depth image
+constexpr double kBehindCells = 1.5;       // a vertex is still on the surface
+constexpr double kLeastCosine = 0.05;      // between a normal and the way to the camera: three degrees
+constexpr std::int64_t kCamerasAtOnce = 16;
+constexpr double kBorder = 0.1;       // of a picture's sides, where it is trusted less and less
+constexpr double kLeastTrust = 0.02;  // of a colour that is better than none
+constexpr double kFarColor = 64;      // from the median, of 255
 constexpr float kNothing = std::numeric_limits<float>::infinity();
 
 // A vertex as a camera sees it: image point in pixels and depth; depth 0 where there is none.
@@ -54,7 +59,11 @@ class DepthImage {
     for (const Triangle& t : surface.triangles) draw(vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]);
   }
 
-  const Camera& camera() const { return camera_; }
+  // Where a vertex lies in the picture, in shares of its sides.
+  std::array<double, 2> place(std::size_t vertex) const {
+    return {static_cast<double>(vertices_[vertex].u) / camera_.width_px,
+            static_cast<double>(vertices_[vertex].v) / camera_.height_px};
+  }
 
   // Whether a vertex is at most `behind` further away than what its pixel shows. Of the four pixels around it, the
   // farthest counts: a surface that is seen along itself changes its depth within one.
@@ -121,85 +130,134 @@ class DepthImage {
   std::vector<Projected> vertices_;
 };
 
-// Pixels of the camera per area of the surface at each vertex; 0 where the camera does not see it.
-std::vector<float> shown_by(const RayCamera& view, const Surface& surface, const RayLimits& limits, double cell) {
+// The colour of a photograph around (u, v), its pixels in shares of its sides; none where one that counts is masked or
+// transparent.
+std::optional<std::array<std::uint8_t, 3>> color_at(const StoredFrame& photo, double u, double v) {
+  const double x = std::clamp(u * photo.width_px - 0.5, 0.0, photo.width_px - 1.0);
+  const double y = std::clamp(v * photo.height_px - 0.5, 0.0, photo.height_px - 1.0);
+  const auto left = static_cast<std::int32_t>(x), top = static_cast<std::int32_t>(y);
+  std::array<double, 3> sum{0.5, 0.5, 0.5};
+  for (std::int32_t k = 0; k < 4; ++k) {
+    const std::int32_t column = left + k % 2, row = top + k / 2;
+    const double share = (k % 2 == 1 ? x - left : 1 - x + left) * (k / 2 == 1 ? y - top : 1 - y + top);
+    if (share == 0) continue;
+    const auto at = static_cast<std::size_t>(std::int64_t{row} * photo.width_px + column);
+    if (!photo.mask.uses(at) || (!photo.alpha.empty() && photo.alpha[at] != 255)) return std::nullopt;
+    for (std::size_t c = 0; c < 3; ++c) sum[c] += share * photo.rgb[3 * at + c];
+  }
+  std::array<std::uint8_t, 3> color{};
+  for (std::size_t c = 0; c < 3; ++c) color[c] = static_cast<std::uint8_t>(sum[c]);
+  return color;
+}
+
+// A vertex in a camera's picture.
+struct Shown {
+  std::uint32_t vertex;
+  float area;   // pixels of the camera per area of the surface
+  float trust;  // of the colour; 0: none
+  std::array<std::uint8_t, 3> color;
+};
+
+// The vertices that a camera sees.
+std::vector<Shown> shown_by(const RayCamera& view, const StoredFrame* photo, const Surface& surface,
+                            const RayLimits& limits, double cell) {
   const DepthImage image(surface, view, limits);
-  std::vector<float> shown(surface.positions.size());
-  for (std::size_t i = 0; i < shown.size(); ++i) {
+  std::vector<Shown> shown;
+  for (std::uint32_t i = 0; i < surface.positions.size(); ++i) {
     const Vec3d way = view.world_from_camera.t - surface.positions[i];
     const double distance = length(way), cosine = dot(surface.normals[i], way) / distance;
     if (!(cosine > kLeastCosine) || !image.shows(i, kBehindCells * cell)) continue;
-    shown[i] = static_cast<float>(view.camera.fx * view.camera.fy * cosine / (distance * distance));
+    Shown one{i, static_cast<float>(view.camera.fx * view.camera.fy * cosine / (distance * distance)), 0, {}};
+    if (photo != nullptr && !photo->rgb.empty()) {
+      const auto [u, v] = image.place(i);
+      if (const auto color = color_at(*photo, u, v)) {
+        const double border = std::clamp(std::min({u, v, 1 - u, 1 - v}) / kBorder, kLeastTrust, 1.0);
+        one.trust = static_cast<float>(border);
+        one.color = *color;
+      }
+    }
+    shown.push_back(one);
   }
   return shown;
 }
 
-void take(Sights& sights, std::int32_t camera, float weight) {
-  for (std::size_t k = 0; k < Sights::kMost; ++k) {
-    if (!(weight > sights.weight[k])) continue;
-    std::swap(weight, sights.weight[k]);
-    std::swap(camera, sights.camera[k]);
+// Keeps the best, best first.
+template <class What, std::size_t kCount>
+void take(std::array<float, kCount>& weights, std::array<What, kCount>& best, float weight, What what) {
+  for (std::size_t k = 0; k < kCount; ++k) {
+    if (!(weight > weights[k])) continue;
+    std::swap(weight, weights[k]);
+    std::swap(what, best[k]);
   }
 }
 
-// Edges between vertices, both ways: those of vertex v are to[first[v]] ... to[first[v + 1] - 1].
-struct Edges {
-  std::vector<std::uint32_t> first, to;
-};
-Edges edges_of(const Surface& surface) {
-  Edges edges;
-  edges.first.assign(surface.positions.size() + 1, 0);
-  for (const Triangle& t : surface.triangles) {
-    for (const std::uint32_t v : t) edges.first[v + 1] += 2;
-  }
-  for (std::size_t v = 1; v < edges.first.size(); ++v) edges.first[v] += edges.first[v - 1];
-  edges.to.resize(edges.first.back());
-  std::vector<std::uint32_t> next(edges.first.begin(), edges.first.end() - 1);
-  for (const Triangle& t : surface.triangles) {
-    for (std::size_t k = 0; k < 3; ++k) {
-      edges.to[next[t[k]]++] = t[(k + 1) % 3];
-      edges.to[next[t[k]]++] = t[(k + 2) % 3];
-    }
-  }
-  return edges;
-}
+// The best looks at a vertex.
+struct BestLooks {
+  static constexpr std::size_t kMost = 8;
+  std::array<float, kMost> weight{};
+  std::array<std::array<std::uint8_t, 3>, kMost> color{};
 
-// Whether at most `rings` edges lead to each vertex from one where `start` is set.
-std::vector<char> grown(const Edges& edges, std::vector<char> start, int rings) {
-  std::vector<std::uint32_t> rim, next;
-  for (std::uint32_t v = 0; v < start.size(); ++v) {
-    if (start[v] != 0) rim.push_back(v);
-  }
-  for (int ring = 0; ring < rings; ++ring) {
-    next.clear();
-    for (const std::uint32_t v : rim) {
-      for (std::uint32_t e = edges.first[v]; e < edges.first[v + 1]; ++e) {
-        if (start[edges.to[e]] != 0) continue;
-        start[edges.to[e]] = 1;
-        next.push_back(edges.to[e]);
+  // Their mean, without those far from the weighted median.
+  std::array<std::uint8_t, 3> mean() const {
+    std::array<double, 3> median{}, sum{};
+    double all = 0, near = 0;
+    for (const float w : weight) all += static_cast<double>(w);
+    for (std::size_t c = 0; c < 3; ++c) {
+      std::array<std::pair<std::uint8_t, float>, kMost> values;
+      for (std::size_t k = 0; k < kMost; ++k) values[k] = {color[k][c], weight[k]};
+      std::sort(values.begin(), values.end());
+      double below = 0;
+      for (const auto& [value, w] : values) {
+        below += static_cast<double>(w);
+        median[c] = value;
+        if (2 * below >= all) break;
       }
     }
-    rim.swap(next);
+    for (std::size_t k = 0; k < kMost; ++k) {
+      double off = 0;
+      for (std::size_t c = 0; c < 3; ++c) off = std::max(off, std::abs(median[c] - color[k][c]) / kFarColor);
+      const double weighs = static_cast<double>(weight[k]) * std::max(kLeastTrust, 1 - off * off);
+      near += weighs;
+      for (std::size_t c = 0; c < 3; ++c) sum[c] += weighs * color[k][c];
+    }
+    std::array<std::uint8_t, 3> out{};
+    for (std::size_t c = 0; c < 3; ++c) out[c] = static_cast<std::uint8_t>(std::lround(sum[c] / near));
+    return out;
   }
-  return start;
-}
+};
 
 }  // namespace
 
 std::vector<Sights> sights_of(const Surface& surface, std::span<const RayCamera> cameras, const RayLimits& limits,
-                              double cell) {
+                              double cell, PhotoColors* colors) {
   SEMFIELD_CHECK(surface.normals.size() == surface.positions.size(), "a normal per vertex");
   std::vector<Sights> sights(surface.positions.size());
+  std::vector<BestLooks> looks(colors != nullptr ? sights.size() : 0);
   for (std::int64_t begin = 0; begin < std::ssize(cameras); begin += kCamerasAtOnce) {
     const std::int64_t count = std::min(kCamerasAtOnce, std::ssize(cameras) - begin);
-    std::vector<std::vector<float>> shown(static_cast<std::size_t>(count));
+    std::vector<std::vector<Shown>> shown(static_cast<std::size_t>(count));
     parallel_for(count, [&](std::int64_t c) {
+      const auto camera = static_cast<std::size_t>(begin + c);
       shown[static_cast<std::size_t>(c)] =
-          shown_by(cameras[static_cast<std::size_t>(begin + c)], surface, limits, cell);
+          shown_by(cameras[camera], colors != nullptr ? colors->photos[camera] : nullptr, surface, limits, cell);
     });
-    for (std::size_t v = 0; v < sights.size(); ++v) {
-      for (std::int64_t c = 0; c < count; ++c)
-        take(sights[v], static_cast<std::int32_t>(begin + c), shown[static_cast<std::size_t>(c)][v]);
+    for (std::int64_t c = 0; c < count; ++c) {
+      for (const Shown& one : shown[static_cast<std::size_t>(c)]) {
+        Sights& best = sights[one.vertex];
+        take(best.weight, best.camera, one.area, static_cast<std::int32_t>(begin + c));
+        if (colors == nullptr) continue;
+        BestLooks& look = looks[one.vertex];
+        take(look.weight, look.color, one.trust * one.area, one.color);
+      }
+    }
+  }
+  if (colors != nullptr) {
+    colors->color.assign(looks.size(), {128, 128, 128});
+    colors->known.assign(looks.size(), 0);
+    for (std::size_t v = 0; v < looks.size(); ++v) {
+      if (looks[v].weight[0] == 0) continue;
+      colors->color[v] = looks[v].mean();
+      colors->known[v] = 1;
     }
   }
   return sights;
@@ -210,10 +268,7 @@ std::vector<char> triangles_in_sight(const Surface& surface, std::span<const Sig
   for (std::size_t v = 0; v < seen.size(); ++v) seen[v] = sights[v].any() ? 1 : 0;
   const Edges edges = edges_of(surface);
   // A morphological closing: what is far from everything seen grows back to the rim of what is seen.
-  std::vector<char> lost = grown(edges, seen, kGapRings);
-  for (char& v : lost) v = v == 0 ? 1 : 0;
-  lost = grown(edges, lost, kGapRings);
-  for (std::size_t v = 0; v < seen.size(); ++v) seen[v] = seen[v] != 0 || lost[v] == 0 ? 1 : 0;
+  seen = grown(edges, grown(edges, std::move(seen), kGapRings), -kGapRings);
 
   const Components parts = components_of(surface);
   std::vector<double> area(parts.faces.size()), hidden(parts.faces.size());
@@ -230,45 +285,6 @@ std::vector<char> triangles_in_sight(const Surface& surface, std::span<const Sig
     if (hidden[part] <= kHiddenShare * area[part]) keep[i] = 1;
   }
   return keep;
-}
-
-void lend_sights(const Surface& surface, std::span<Sights> sights) {
-  const Edges edges = edges_of(surface);
-  std::vector<std::uint32_t> reached;
-  for (std::uint32_t v = 0; v < sights.size(); ++v) {
-    if (sights[v].any()) reached.push_back(v);
-  }
-  for (std::size_t at = 0; at < reached.size(); ++at) {
-    const std::uint32_t v = reached[at];
-    for (std::uint32_t e = edges.first[v]; e < edges.first[v + 1]; ++e) {
-      Sights& other = sights[edges.to[e]];
-      if (other.any()) continue;
-      other = sights[v];
-      other.lent = true;
-      reached.push_back(edges.to[e]);
-    }
-  }
-}
-
-Looks looks_at(Vec3d point, Vec3d normal, const Sights& sights, std::span<const RayCamera> cameras) {
-  Looks looks;
-  double sum = 0;
-  for (std::size_t k = 0; k < Sights::kMost && sights.camera[k] >= 0; ++k) {
-    const Vec3d way = point - cameras[static_cast<std::size_t>(sights.camera[k])].world_from_camera.t;
-    if (!(dot(way, normal) < 0)) continue;
-    looks.direction[looks.count] = normalized(way);
-    looks.eye[looks.count] = sights.lent ? -1 : sights.camera[k];
-    looks.weight[looks.count] = static_cast<double>(sights.weight[k]);
-    sum += looks.weight[looks.count++];
-  }
-  if (looks.count == 0) {
-    looks.direction[0] = normal * -1.0;
-    looks.eye[0] = -1;
-    looks.weight[0] = sum = 1;
-    looks.count = 1;
-  }
-  for (double& weight : looks.weight) weight /= sum;
-  return looks;
 }
 
 }  // namespace semfield

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "core/check.h"
 #include "core/joined_sets.h"
@@ -91,6 +92,72 @@ void keep_triangles(Surface& surface, const std::vector<char>& keep) {
   for (Triangle& t : surface.triangles) {
     for (std::uint32_t& v : t) v = number[v];
   }
+}
+
+Edges edges_of(const Surface& surface) {
+  Edges edges;
+  edges.first.assign(surface.positions.size() + 1, 0);
+  for (const Triangle& t : surface.triangles) {
+    for (const std::uint32_t v : t) edges.first[v + 1] += 2;
+  }
+  for (std::size_t v = 1; v < edges.first.size(); ++v) edges.first[v] += edges.first[v - 1];
+  edges.to.resize(edges.first.back());
+  std::vector<std::uint32_t> next(edges.first.begin(), edges.first.end() - 1);
+  for (const Triangle& t : surface.triangles) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      edges.to[next[t[k]]++] = t[(k + 1) % 3];
+      edges.to[next[t[k]]++] = t[(k + 2) % 3];
+    }
+  }
+  return edges;
+}
+
+Reach reach_of(const Edges& edges, std::span<const char> flags) {
+  Reach reach;
+  reach.rings.assign(flags.size(), Reach::kNever);
+  reach.nearest.resize(flags.size());
+  std::vector<std::uint32_t> reached;
+  for (std::uint32_t v = 0; v < flags.size(); ++v) {
+    reach.nearest[v] = v;
+    if (flags[v] == 0) continue;
+    reach.rings[v] = 0;
+    reached.push_back(v);
+  }
+  for (std::size_t at = 0; at < reached.size(); ++at) {
+    const std::uint32_t v = reached[at];
+    for (std::uint32_t e = edges.first[v]; e < edges.first[v + 1]; ++e) {
+      const std::uint32_t other = edges.to[e];
+      if (reach.rings[other] != Reach::kNever) continue;
+      reach.rings[other] = reach.rings[v] + 1;
+      reach.nearest[other] = reach.nearest[v];
+      reached.push_back(other);
+    }
+  }
+  return reach;
+}
+
+std::vector<char> grown(const Edges& edges, std::vector<char> flags, int rings) {
+  const bool grows = rings > 0;
+  for (char& flag : flags) flag = (flag != 0) == grows ? 1 : 0;
+  const Reach reach = reach_of(edges, flags);
+  for (std::size_t v = 0; v < flags.size(); ++v) flags[v] = (reach.rings[v] <= std::abs(rings)) == grows ? 1 : 0;
+  return flags;
+}
+
+void smooth(Surface& surface, int rounds) {
+  const Edges edges = edges_of(surface);
+  for (int round = 0; round < 2 * rounds; ++round) {
+    const double share = round % 2 == 0 ? 0.5 : -0.53;
+    const std::vector<Vec3d> before = surface.positions;
+    for (std::size_t v = 0; v < before.size(); ++v) {
+      const std::uint32_t first = edges.first[v], last = edges.first[v + 1];
+      if (first == last) continue;
+      Vec3d sum;
+      for (std::uint32_t e = first; e < last; ++e) sum = sum + before[edges.to[e]];
+      surface.positions[v] = before[v] + (sum * (1.0 / (last - first)) - before[v]) * share;
+    }
+  }
+  set_vertex_normals(surface);
 }
 
 std::array<double, 4> turn_to_y(Vec3d up) {

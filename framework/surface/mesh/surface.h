@@ -47,6 +47,27 @@ struct Components {
 };
 Components components_of(const Surface& surface);
 
+/// Edges between vertices, both ways: those of vertex v are to[first[v]] ... to[first[v + 1] - 1], once for each of
+/// their triangles.
+struct Edges {
+  std::vector<std::uint32_t> first, to;
+};
+Edges edges_of(const Surface& surface);
+/// How many edges separate each vertex from the nearest one whose flag is set, and which that is; where none is
+/// connected: kNever, and the vertex itself.
+struct Reach {
+  static constexpr int kNever = 1 << 30;
+  std::vector<int> rings;
+  std::vector<std::uint32_t> nearest;
+};
+Reach reach_of(const Edges& edges, std::span<const char> flags);
+/// Flags grown by so many rings of vertices; shrunk, where `rings` is negative.
+std::vector<char> grown(const Edges& edges, std::vector<char> flags, int rings);
+
+/// Takes bumps off without shrinking what is larger [Taubin95]: each round moves vertices to the mean of their
+/// neighbours and back again. Normals are set anew.
+void smooth(Surface& surface, int rounds);
+
 /// Drops components with fewer than `min_share` of all triangles, then vertices without a triangle; order is kept.
 /// Returns the number of components that stay.
 std::int64_t drop_small_components(Surface& surface, double min_share);

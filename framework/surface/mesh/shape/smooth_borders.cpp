@@ -13,7 +13,7 @@ namespace semfield {
 
 namespace {
 
-constexpr int kRounds = 4;                 // of averaging: borders are smooth over some edges' lengths
+constexpr int kRounds = 8;                 // of averaging: borders are smooth over some edges' lengths
 constexpr float kLeastSure = 0.1F;         // what the least sure vertex counts
 constexpr double kNearestToCorner = 0.02;  // of an edge: thinner triangles help nobody
 
@@ -39,19 +39,6 @@ void add(Shares& to, const Shares& from, float weight) {
       to.insert(at, {share.kind, weight * share.weight});
     }
   }
-}
-
-// The vertices that share an edge with each, ascending.
-std::vector<std::vector<std::uint32_t>> neighbours_of(const Surface& surface) {
-  std::vector<std::vector<std::uint32_t>> around(surface.positions.size());
-  for (const Triangle& t : surface.triangles)
-    for (std::size_t k = 0; k < 3; ++k)
-      for (const std::size_t other : {(k + 1) % 3, (k + 2) % 3}) around[t[k]].push_back(t[other]);
-  for (std::vector<std::uint32_t>& own : around) {
-    std::sort(own.begin(), own.end());
-    own.erase(std::unique(own.begin(), own.end()), own.end());
-  }
-  return around;
 }
 
 class Cutter {
@@ -157,15 +144,16 @@ void smooth_borders(Surface& surface) {
     const float sure = known.has_labels() ? std::exp(-known.entropy[v]) : 1;
     shares[v] = {{found->second, std::max(kLeastSure, sure)}};
   }
-  const std::vector<std::vector<std::uint32_t>> around = neighbours_of(surface);
+  const Edges edges = edges_of(surface);
   for (int round = 0; round < kRounds; ++round) {
     std::vector<Shares> next(count);
     parallel_for((std::ssize(next) + 4095) / 4096, [&](std::int64_t block) {
       const auto begin = static_cast<std::size_t>(block * 4096);
       for (std::size_t v = begin; v < std::min(count, begin + 4096); ++v) {
         add(next[v], shares[v], 0.5F);
-        for (const std::uint32_t other : around[v])
-          add(next[v], shares[other], 0.5F / static_cast<float>(around[v].size()));
+        const std::uint32_t first = edges.first[v], last = edges.first[v + 1];
+        for (std::uint32_t e = first; e < last; ++e)
+          add(next[v], shares[edges.to[e]], 0.5F / static_cast<float>(last - first));
       }
     });
     shares = std::move(next);
