@@ -117,6 +117,20 @@ export function askClass(classes, row, answered) {
   input.select();
 }
 
+/// The help where fingers do it all.
+export const kFingers = [
+  ['Label', [
+    ['tap, drag', 'label with the chosen class: a place, a stroke'],
+    ['polygon', 'tap corners or drag; the first corner closes it'],
+    ['thing', 'tap one, and tap again to label it; a stroke splits off or adds'],
+    ['eraser', 'tap or drag over clicks to delete them'],
+    ['tap a click', 'with its own class chosen: select it, to delete it'],
+    ['tap the class', 'that is chosen: rename, merge or delete it'],
+    ['Another', 'the next clicks are on another thing of the chosen class'],
+  ]],
+  ['Look', [['two fingers', 'move the picture, and zoom'], ['Rendered', 'the view as the model sees it'], ['Entropy', 'where the model is uncertain']]],
+];
+
 /// What each key does, as Page.followKeys takes it.
 export function keyTable(page) {
   const {stage, labeller, settings} = page;
