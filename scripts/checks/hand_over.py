@@ -1,5 +1,6 @@
 """What a run hands over to other programs, and the page of `semfield view`."""
 import base64
+import contextlib
 import json
 import math
 import signal
@@ -38,6 +39,18 @@ MEASURE = """
     return last;"""
 
 
+@contextlib.contextmanager
+def served(*words):
+    """The address of the page that a verb serves, until it is left."""
+    words = [*words, "--json", "-q"]
+    program = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        yield json.loads(program.stdout.readline() or common.run(*words))["url"]
+    finally:
+        program.send_signal(signal.SIGINT)
+        program.wait()
+
+
 def view(run, *, build=common.BUILD):
     """Measures how soon `semfield view` shows a run of the shipped room, and the long edge of the dining table as a
 person does, by points read in headless Chromium: the last ones of the table's top on the line from end to end.
@@ -47,18 +60,13 @@ view_ready_s is from start to the first picture, measured_error a share of the e
         raise common.Failed("no chromium and chromium-driver here: apt-get install chromium chromium-driver")
     with browser.Driver() as driver:
         page, begin = driver.browser(), time.monotonic()
-        words = [build / "bin" / "semfield", "view", run, "--json", "-q"]
-        viewed = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        try:
-            page.open(json.loads(viewed.stdout.readline())["url"])
+        with served(build / "bin" / "semfield", "view", run) as url:
+            page.open(url)
             page.wait("document.body.dataset.state === 'ready'", "no picture", 60)
             ready = time.monotonic() - begin
             page.wait("document.body.dataset.mesh === 'fine'", "no fine mesh", 300)
             page.call("POST", "/timeouts", {"script": 300_000})  # a CPU draws the whole mesh for every point
             ends = [page.run(MEASURE, TOP, EDGE, side) for side in (-1, 1)]
-        finally:
-            viewed.send_signal(signal.SIGINT)
-            viewed.wait()
     if not all(ends):
         raise common.Failed("the table is not seen: the run is none of the shipped room, or was trained too briefly")
     length = math.dist(*ends)

@@ -94,14 +94,23 @@ class Browser:
     def call(self, method, path, value=None):
         return self.driver.call(method, self.path + path, value)
 
-    def size(self, width, height):
+    def emulate(self, what, **values):
+        self.call("POST", "/goog/cdp/execute", {"cmd": f"Emulation.set{what}", "params": values})
+
+    def size(self, width, height, is_phone=False):
         """Of the page, without the window's frame."""
-        self.call("POST", "/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride",
-                                                "params": {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}})
+        self.emulate("DeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=is_phone)
+        self.emulate("EmulatedMedia", media="")
+        self.touch(is_phone)
+
+    def paper(self, width):
+        """The page as it is printed, on paper of this width within its margins."""
+        self.size(width, 1000)
+        self.emulate("EmulatedMedia", media="print")
 
     def touch(self, on):
         """Whether fingers are what points here."""
-        self.call("POST", "/goog/cdp/execute", {"cmd": "Emulation.setTouchEmulationEnabled", "params": {"enabled": on}})
+        self.emulate("TouchEmulationEnabled", enabled=on)
 
     def open(self, address):
         self.call("POST", "/url", {"url": address})
