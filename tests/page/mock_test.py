@@ -635,6 +635,7 @@ class ToolsTest(MockPageCase):
         page.wait_for(lambda: self.room.events[-1].get("into"), "chair", "no merge arrives")
         self.message(page, "\"stool\" is merged into \"chair\", which got its 1 click.")
         page.keys("z")
+        page.wait_for(lambda: self.room.events[-1]["type"], "undo", "the undo does not arrive")
         page.wait(f"{names} == 'sofa,stool,chair'", "a merge is not undone")
         page.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '1'", "the click does not come back")
         self.dialog(page, "3", "f2")

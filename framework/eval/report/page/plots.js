@@ -1,5 +1,5 @@
 "use strict";
-// Plots as SVG: axes with round ticks, several series, linear or logarithmic axes, error bars, bars and marks.
+// Plots as SVG: axes with round ticks, several series, linear or logarithmic axes, error bars and bars.
 
 // Text that html`` makes; what else is put into it is escaped.
 class Html {
@@ -109,20 +109,8 @@ function point_text(p, digits) {
   return `${figure(p.y, digits)}${interval} at ${figure(p.x, 3)}`;
 }
 
-/** On the line as it is drawn: between two points it is straight in pixels. Nothing beyond the line's ends. */
-function draw_mark(mark, {points, color}, x, y) {
-  const i = points.findIndex((p) => p.x >= mark.x), after = points[i], before = points[i - 1];
-  if (i < 0 || (!before && after.x > mark.x)) return "";
-  const cx = x(mark.x), r = mark.diamond ? 7 : 5.5;
-  const cy = !before || after.x === mark.x ? y(after.y)
-    : y(before.y) + (cx - x(before.x)) / (x(after.x) - x(before.x)) * (y(after.y) - y(before.y));
-  const way = mark.diamond ? [[-r, 0], [0, -r], [r, 0], [0, r]].map(([dx, dy]) => `${px(cx + dx)} ${px(cy + dy)}`) : [];
-  const shape = mark.diamond ? html`path d="M${way.join("L")}Z"` : html`circle cx="${px(cx)}" cy="${px(cy)}" r="${r}"`;
-  return html`<${shape} class="mk" stroke="${paint(color)}"><title>${mark.text}</title></${shape.text.split(" ")[0]}>`;
-}
-
 function draw_series({markers, digits, log_y}, series, x, y) {
-  const {name, color, points, end, marks = [], reference} = series;
+  const {name, color, points, end, reference} = series;
   const way = points.map((p) => `${px(x(p.x))},${px(y(p.y))}`).join(" ");
   if (reference) return html`<polyline class="rf" points="${way}"/>`;
   const whisker = (p) => {
@@ -130,12 +118,11 @@ function draw_series({markers, digits, log_y}, series, x, y) {
     const bar = html`class="eb" stroke="${paint(color)}"`;
     return [line(at, low, at, high, bar), line(at - 4, low, at + 4, low, bar), line(at - 4, high, at + 4, high, bar)];
   };
-  const dots = points.map((p, i) => [has_interval(p) && whisker(p), (markers || i + 1 === points.length) &&
-    html`<circle cx="${px(x(p.x))}" cy="${px(y(p.y))}" r="${points.length === 1 ? 5 : 3}" fill="${paint(color)}"
-><title>${name}: ${point_text(p, digits)}</title></circle>`]);
-  return [way && !series.loose && html`<polyline class="ln" ${stroke(color)} points="${way}"/>`, dots,
-    marks.map((mark) => draw_mark(mark, series, x, y)), end && html`<circle cx="${px(x(end.x))}" cy="${px(y(end.y))}"
-r="5.5" fill="${paint(color)}"><title>${name}: ${point_text(end, digits)}</title></circle>`];
+  const dot = (p, r) => html`<circle cx="${px(x(p.x))}" cy="${px(y(p.y))}" r="${r}" fill="${paint(color)}"
+><title>${name}: ${point_text(p, digits)}</title></circle>`;
+  const dots = points.map((p, i) => [has_interval(p) && whisker(p),
+    (markers || i + 1 === points.length) && dot(p, points.length === 1 ? 5 : 3)]);
+  return [way && !series.loose && html`<polyline class="ln" ${stroke(color)} points="${way}"/>`, dots, end && dot(end, 5)];
 }
 const draw_bars = ({color, bars = []}, x, y) => bars.map(({from, to, height, text}) => html`<rect class="br"
 x="${px(x(from) + 1)}" y="${px(y(height))}" width="${px(Math.max(0, x(to) - x(from) - 2))}"
@@ -157,8 +144,8 @@ function end_labels(series, digits, x, y) {
 
 /**
  * spec: {title, x_label, log_x, log_y: points at or below 0 are left out then, markers: a dot at each point, digits,
- * end_values, x_range, y_range: of a linear axis, series: {name, color: 0 to 7, points: {x, y, low, high}, marks: {x,
- * diamond, text}, bars: {from, to, height, text}, end: a point apart from the line, whose value stands at its end,
+ * end_values, x_range, y_range: of a linear axis, series: {name, color: 0 to 7, points: {x, y, low, high},
+ * bars: {from, to, height, text}, end: a point apart from the line, whose value stands at its end,
  * reference: a thin line to compare with, loose: dots without a line}}. Points that are not finite are not drawn.
  */
 function plot(spec) {
@@ -166,8 +153,8 @@ function plot(spec) {
   const drawn = spec.series.map((one) => ({...one, points: one.points.filter(({x, y}) =>
     Number.isFinite(x) && Number.isFinite(y) && (!log_y || y > 0) && (!log_x || x > 0))}));
   const told = spec.series.filter(({points, reference}) => points.length && !reference)
-                 .map(({name, points, marks = []}) => ` ${name}: from ${point_text(points[0], digits)} to ${
-                        point_text(points.at(-1), digits)}.${marks.map(({text}) => ` ${text}.`).join("")}`);
+                 .map(({name, points, end}) => ` ${name}: from ${point_text(points[0], digits)} to ${
+                        point_text(end || points.at(-1), digits)}.`);
   const ends = (p) => has_interval(p) ? [p.high, p.low].filter((v) => !log_y || v > 0) : [];
   const all_of = ({points, end}) => (end ? [...points, end] : points);
   const xs = drawn.flatMap((one) => [...all_of(one).map((p) => p.x), ...(one.bars ?? []).flatMap((bar) => [bar.from,

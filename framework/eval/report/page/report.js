@@ -123,20 +123,6 @@ function time_of_level(rows, {key, better}, level) {
 /** Index of the run that came first for certain, or -1. */
 const first_for_certain = (times) => times.length < 2 ? -1 : times.findIndex((one, i) => one &&
   times.every((other, j) => i === j || (other && one.at <= other.before)));
-/**
- * Where a curve first covers `share` of the way from its first to its last value, read as straight lines; null where
- * the last is no better than the first.
- */
-function time_to_share(points, better, share) {
-  const [first, last] = [points[0], points.at(-1)];
-  if (points.length < 2 || better * (last.y - first.y) <= 0) return null;
-  const level = first.y + share * (last.y - first.y);
-  const i = points.findIndex((p, k) => k > 0 && better * (p.y - level) >= 0);
-  if (i < 0) return last.x;  // rounding kept the last value a hair from its own level
-  const before = points[i - 1], after = points[i], way = after.y - before.y;
-  return way === 0 ? before.x : before.x + (level - before.y) / way * (after.x - before.x);
-}
-
 // ---- pieces of the page
 
 const two = (n) => String(n).padStart(2, "0");
@@ -536,7 +522,6 @@ function worst() {
 
 // ---- error against run time
 
-const kShares = [0.9, 0.95];
 const kCurves = [
   {key: "loss", title: "Training loss", note: "logarithmic", trains: true, log_y: true},
   {key: "psnr", title: "PSNR", note: "dB, higher is better"},
@@ -571,31 +556,14 @@ function parts_sentence() {
 function curve_plots(unit, x_label, log_x) {
   return all_curves().map((curve) => {
     const series = runs.map((run, color) => {
-      const points = points_of(run, curve), end = end_of(run, curve);
-      const time_to = (share) => time_to_share(points, metric_of(curve.key).better, share);
-      const marks = (curve.trains ? [] : kShares.map(time_to)).map((at, i) => at !== null && {
-        x: at / unit, diamond: i > 0, text: `${run.name}: ${percent(kShares[i])} of the way after ${duration(at)}`
-      }).filter((mark) => mark);
-      return {name: run.name, color, points: thinned(points, 240).map(({x, y}) => ({x: x / unit, y})), marks,
+      const points = thinned(points_of(run, curve), 240), end = end_of(run, curve);
+      return {name: run.name, color, points: points.map(({x, y}) => ({x: x / unit, y})),
         end: end && {...end, x: end.x / unit}};
     });
     const digits = curve.trains ? 3 : metric_of(curve.key).digits;
     return series.some(({points}) => points.length > 1) &&
       panel(curve.title, curve.note, plot({...curve, digits, x_label, log_x, markers: !curve.trains, series}));
   });
-}
-function convergence() {
-  const rows = kCurves.filter(({trains}) => !trains).flatMap((curve) => runs.map((run) => {
-    const {label, better} = metric_of(curve.key), points = points_of(run, curve);
-    const times = kShares.map((share) => time_to_share(points, better, share));
-    return times[0] !== null && row([label, several && small(run.name)], times.map(duration));
-  })).filter((one) => one);
-  return rows.length > 0 && [
-    html`<h3>Time to the last value</h3><p class="hint">When a curve, read as straight lines between evaluations, first
-covers 90&#160;% (ring) and 95&#160;% (diamond) of the way from its first to its last value.${several &&
-" Every run is compared with its own last value, so a run that ends low can be quick."}</p>`,
-    table("Time to 90 % and 95 % of the last value", "Curve", ["90 %", "95 %"], rows)
-  ];
 }
 /** When each run first reached the level that the weakest ended at. */
 function common_level() {
@@ -636,7 +604,7 @@ function curves() {
     legend(),
     is_long ? choice("log-time", "logarithmic time", plots, curve_plots(unit, x_label, true)) :
               html`<div class="plots">${plots}</div>`,
-    convergence(), levels);
+    levels);
 }
 
 // ---- a sweep
