@@ -128,7 +128,7 @@ export const kFingers = [
     ['tap the class', 'that is chosen: rename, merge or delete it'],
     ['Another', 'the next clicks are on another thing of the chosen class'],
   ]],
-  ['Look', [['two fingers', 'move the picture, and zoom'], ['Rendered', 'the view as the model sees it'], ['Entropy', 'where the model is uncertain']]],
+  ['Look', [['two fingers', 'move the picture, and zoom']]],
 ];
 
 /// What each key does, as Page.followKeys takes it.

@@ -15,6 +15,7 @@
 #include <numeric>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -308,15 +309,12 @@ void LabelSession::summarise() {
   const std::vector<Settled>& ways = loop_.graph().settled();
   const auto open =
       std::count_if(ways.begin(), ways.end(), [](const Settled& way) { return way.cost[0] >= ProposalRules().unseen; });
-  summary_.entropy.clear();
-  summary_.unreached = points > 0 ? static_cast<double>(open) / static_cast<double>(points) : 1;
-  if (!probability.empty() || !unlearned_) {  // else those from before the run stopped
-    summary_.sure = summary_.area = count;
-    for (std::size_t c = 0; c < count.size(); ++c) {
-      summary_.sure[c] = count[c] > 0 ? sure[c] / count[c] : 0;
-      summary_.area[c] = points > 0 ? count[c] / static_cast<double>(points) : 0;
-    }
+  summary_ = {count, sure, {}, points > 0 ? static_cast<double>(open) / static_cast<double>(points) : 1};
+  for (std::size_t c = 0; c < count.size(); ++c) {
+    summary_.sure[c] = count[c] > 0 ? sure[c] / count[c] : 0;
+    summary_.area[c] = points > 0 ? count[c] / static_cast<double>(points) : 0;
   }
+  if (probability.empty() && unlearned_) summary_.area.clear();  // so the state's stay
   for (const std::vector<std::int32_t>& seen : loop_.pool().point_of_pixel) {
     double sum = 0, pixels = 0;
     for (const std::int32_t point : seen) {
@@ -433,15 +431,10 @@ LabelSession::LabelSession(LabelledRun labelled_run)
   first->notes = std::move(labelled_run.warnings);
   name_classes(*first);
   // Until the surface is known again, what the run knew of it when it stopped.
-  if (const std::string path = run_->folder()->labelling_path(); std::filesystem::is_regular_file(path)) {
-    summary_.area.assign(static_cast<std::size_t>(opened().classes()), 0);
-    summary_.sure = summary_.area;
+  if (const std::string path = run_->folder()->labelling_path(); std::filesystem::is_regular_file(path))
     for (const LabellingRecord::Class& one : parse_labelling_record(read_text_file(path), path).classes)
-      if (const int c = opened().scene.info.classes.index_of(one.id); c >= 0) {
-        summary_.area[static_cast<std::size_t>(c)] = one.area_share;
-        summary_.sure[static_cast<std::size_t>(c)] = one.confidence;
-      }
-  }
+      for (ClassState& cls : first->classes)
+        if (cls.id == one.id) std::tie(cls.area_share, cls.confidence) = std::tie(one.area_share, one.confidence);
   describe(*first);
   first->revision = 1;
   state_ = std::move(first);

@@ -163,9 +163,6 @@ const panel = (title, note, ...parts) =>
   html`<figure class="panel"><figcaption>${title}<span>${note}</span></figcaption>${parts}</figure>`;
 const section = (id, title, sentence, ...parts) => html`<section id="${id}" aria-labelledby="${id}-h"><h2
 id="${id}-h">${title}</h2>${sentence && html`<p class="hint">${sentence}</p>`}${parts}</section>`;
-/** A plot for each of two abscissae, and a box that changes between them. */
-const choice = (id, label, one, other) => html`<input class="pick" type="checkbox" id="${id}"><label
-for="${id}">${label}</label><div class="plots one">${one}</div><div class="plots two">${other}</div>`;
 /** A column for each run, so that a page of one run is narrow. */
 const by_run = (label, first, rows, some = runs) => table(label, first, some.map(({name}) => name), rows);
 const legend = (names = several ? runs.map(({name}) => name) : []) =>
@@ -323,16 +320,16 @@ function setup() {
 const has_labels = (run) => run.labels?.classes.length > 0;  // a scene without classes has none to report
 
 /** Each run is a point of its own: what else differs between runs is not known here, so no line joins them. */
-function label_plots(key_of_count, x_label) {
-  const counts = runs.filter(has_labels).map((run) => run.labels[key_of_count]), least = Math.min(...counts);
+function label_plots() {
+  const counts = runs.filter(has_labels).map((run) => run.labels.labelled_pixels), least = Math.min(...counts);
   const log_x = least > 0 && Math.max(...counts) >= 10 * least;
   return ["miou", "total_accuracy"].map((key) => {
-    const point = (run) => ({x: run.labels?.[key_of_count], y: last_value(run, key)});
+    const point = (run) => ({x: run.labels?.labelled_pixels, y: last_value(run, key)});
     const series = runs.map((run, color) => ({name: run.name, color, points: [point(run)]}))
                      .filter(({points: [{y}]}, i) => has_labels(runs[i]) && y !== null);
     const title = metric_of(key).label;
     return series.length > 0 && panel(title, log_x ? "logarithmic number of labels" : "higher is better",
-      plot({title, x_label, markers: true, log_x, series}));
+      plot({title, x_label: "labelled pixels in training", markers: true, log_x, series}));
   });
 }
 /** A value of training frames in each run; nothing where none has it. */
@@ -359,14 +356,13 @@ function labels() {
   const told = steps.filter(([, {facts}]) => Object.keys(facts).length > 0).map(([name, {type, facts}]) =>
     hint(`${name}, ${type}: ${Object.entries(facts).map((one) => one.join(" ")).join(", ")}.`));
   const rounds = runs.flatMap((run) => run.rounds.map((text) => hint(`${run.name}, ${text}.`)));
-  const plots = known.length > 1 && ranked ? label_plots("labelled_pixels", "labelled pixels in training") : [];
-  const by_frames = () => label_plots("labelled_frames", "labelled frames in training");
+  const plots = known.length > 1 && ranked ? label_plots() : [];
   const [title, sentence] = known.length > 1 ?
     ["Error against number of labels",
       "One point for each run, at its last evaluation; runs may differ in more than their labels."] :
     ["Labels in training", "What the semantic head learned from."];
   return section("labels", title, sentence,
-    plots.some((one) => one) && [legend(), choice("label-frames", "count labelled frames", plots, by_frames())],
+    plots.some((one) => one) && [legend(), html`<div class="plots">${plots}</div>`],
     by_run("Labels of each run", "", rows, known),
     told, rounds,
     missing("Left out, because their folders hold no labels.json (made by an older version):", (run) => !run.labels),
@@ -591,20 +587,14 @@ first for certain.</p>`,
   ];
 }
 function curves() {
-  const longest = Math.max(...runs.map(trained_s));
+  const lengths = runs.map(trained_s), shortest = Math.min(...lengths), longest = Math.max(...lengths);
   const [unit, name] = longest <= 600 ? [1, "seconds"] : longest <= 3 * 3600 ? [60, "minutes"] : [3600, "hours"];
-  const x_label = `${name} of training`, plots = curve_plots(unit, x_label, false);
-  const times = runs.flatMap(({rows}) => rows.map((one) => get(one, "train_s"))).filter((t) => t > 0);
-  const first = times.reduce((a, b) => Math.min(a, b), Infinity);
-  const is_long = times.length > 0 && longest >= 10 * first;  // a logarithmic axis shows more
-  const levels = common_level();
+  const log_x = shortest > 0 && longest >= 10 * shortest;  // short runs are seen next to long ones
+  const plots = curve_plots(unit, `${name} of training${log_x ? ", logarithmic" : ""}`, log_x), levels = common_level();
   return (levels || plots.some((one) => one)) && section("curves", "Error against run time",
     "Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value." +
       parts_sentence(),
-    legend(),
-    is_long ? choice("log-time", "logarithmic time", plots, curve_plots(unit, x_label, true)) :
-              html`<div class="plots">${plots}</div>`,
-    levels);
+    legend(), html`<div class="plots">${plots}</div>`, levels);
 }
 
 // ---- a sweep
