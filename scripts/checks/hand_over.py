@@ -146,7 +146,7 @@ is wider than the screen; prints the report to A4, unfolded, and counts what is 
         page.open(report.as_uri())
         wide += look("the report on a phone")
         scene = page.run("return data.scene ?? ''")
-        page.paper(PAPER_PX)
+        page.size(PAPER_PX, 1000, media="print")
         cut = look("the report on A4", CUT)
         page.size(*PHONE, is_phone=True)
         report.write_text(scene or "<body data-state=ready>", encoding="utf-8")

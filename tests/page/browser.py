@@ -97,16 +97,11 @@ class Browser:
     def emulate(self, what, **values):
         self.call("POST", "/goog/cdp/execute", {"cmd": f"Emulation.set{what}", "params": values})
 
-    def size(self, width, height, is_phone=False):
-        """Of the page, without the window's frame."""
+    def size(self, width, height, is_phone=False, media=""):
+        """Of the page, without the window's frame; media: "print" is on paper of this size within its margins."""
         self.emulate("DeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=is_phone)
-        self.emulate("EmulatedMedia", media="")
+        self.emulate("EmulatedMedia", media=media)
         self.touch(is_phone)
-
-    def paper(self, width):
-        """The page as it is printed, on paper of this width within its margins."""
-        self.size(width, 1000)
-        self.emulate("EmulatedMedia", media="print")
 
     def touch(self, on):
         """Whether fingers are what points here."""

@@ -121,9 +121,7 @@ export function askClass(classes, row, answered) {
 export const kFingers = [
   ['Label', [
     ['tap, drag', 'label with the chosen class: a place, a stroke'],
-    ['polygon', 'tap corners or drag; the first corner closes it'],
-    ['thing', 'tap one, and tap again to label it; a stroke splits off or adds'],
-    ['eraser', 'tap or drag over clicks to delete them'],
+    ['polygon, thing, eraser', 'each says what it does when you choose it'],
     ['tap a click', 'with its own class chosen: select it, to delete it'],
     ['tap the class', 'that is chosen: rename, merge or delete it'],
     ['Another', 'the next clicks are on another thing of the chosen class'],
