@@ -98,14 +98,10 @@ class Browser:
         self.call("POST", "/goog/cdp/execute", {"cmd": f"Emulation.set{what}", "params": values})
 
     def size(self, width, height, is_phone=False, media=""):
-        """Of the page, without the window's frame; media: "print" is on paper of this size within its margins."""
+        """Of the page, without the window's frame; is_phone: fingers point; media: "print" is on paper of this size within its margins."""
         self.emulate("DeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=is_phone)
         self.emulate("EmulatedMedia", media=media)
-        self.touch(is_phone)
-
-    def touch(self, on):
-        """Whether fingers are what points here."""
-        self.emulate("TouchEmulationEnabled", enabled=on)
+        self.emulate("TouchEmulationEnabled", enabled=is_phone)
 
     def open(self, address):
         self.call("POST", "/url", {"url": address})

@@ -406,9 +406,7 @@ class PageTest(MockPageCase):
     def test_layout(self):
         for width, height, touch in ((1280, 720, False), (820, 1180, False), (820, 1180, True), (390, 844, True)):
             page = self.served(classes=("floor", "wall", "a class with a name that is rather long"))
-            page.size(width, height)
-            page.touch(touch)
-            self.addCleanup(page.touch, False)
+            page.size(width, height, is_phone=touch)
             page.reload()
             page.wait(f"document.getElementById('welcome').textContent.startsWith('Choose a class, then {'tap' if touch else 'click'}')")
             if width < 600:

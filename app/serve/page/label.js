@@ -182,7 +182,6 @@ class LabelPage extends Page {
   connect() {
     const {stage} = this;
     this.followKeys(keyTable(this), kFingers);
-    byId('notes').open = innerHeight > 600 && innerWidth > 740;
     onClick('show-photo', () => this.set(this, {isRendered: false}));
     onClick('show-rendered', () => this.set(this, {isRendered: true}));
     for (const kind of ['labels', 'entropy']) onClick(`show-${kind}`, () => this.set(stage, {kind, isHidden: false}));

@@ -123,6 +123,7 @@ function time_of_level(rows, {key, better}, level) {
 /** Index of the run that came first for certain, or -1. */
 const first_for_certain = (times) => times.length < 2 ? -1 : times.findIndex((one, i) => one &&
   times.every((other, j) => i === j || (other && one.at <= other.before)));
+
 // ---- pieces of the page
 
 const two = (n) => String(n).padStart(2, "0");
