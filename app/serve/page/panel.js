@@ -49,7 +49,7 @@ export class Bars {
     const none = classes.length === 0;
     const guess = classes.find(({index}) => index >= 0 && index === proposal?.class_guess);
     text.classList.toggle('some', Boolean(proposal));
-    setText(text, !proposal ? (state.run.geometry_ready ? 'No click is proposed at the moment.' : 'Clicks are proposed once the shapes of the scene are learned.')
+    setText(text, !proposal ? (state.run.geometry_ready ? 'No click is proposed at the moment.' : 'Clicks are proposed once the surface is known.')
       : `Click proposed ${isHere ? 'here' : `in ${state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
     const take = byId('proposal-take');
     take.hidden = byId('proposal-skip').hidden = !proposal;
