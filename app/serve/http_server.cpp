@@ -19,7 +19,6 @@
 #include <cstdio>
 #include <cstring>
 #include <list>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -193,29 +192,15 @@ constexpr auto kGrace = std::chrono::seconds(20);
 constexpr std::chrono::milliseconds kFarewell{1000};
 constexpr int kLinger_ms = 2000;  // for what a client still sends behind its request
 
-const char* reason(int status) {
-  static const std::map<int, const char*> reasons{{200, "OK"},
-                                                  {308, "Permanent Redirect"},
-                                                  {400, "Bad Request"},
-                                                  {403, "Forbidden"},
-                                                  {404, "Not Found"},
-                                                  {405, "Method Not Allowed"},
-                                                  {408, "Request Timeout"},
-                                                  {411, "Length Required"},
-                                                  {413, "Content Too Large"},
-                                                  {503, "Service Unavailable"}};
-  const auto found = reasons.find(status);
-  return found == reasons.end() ? "Internal Server Error" : found->second;
-}
-
+// Without a reason phrase, which nobody reads [RFC9112, Sec. 4].
 std::string head_text(const HttpResponse& response, std::size_t bytes) {
   std::string head = fmt::format(
-      "HTTP/1.1 {} {}\r\nContent-Type: {}\r\nContent-Length: {}\r\nCache-Control: {}\r\nConnection: close\r\n"
+      "HTTP/1.1 {} \r\nContent-Type: {}\r\nContent-Length: {}\r\nCache-Control: {}\r\nConnection: close\r\n"
       "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\n"
       "Cross-Origin-Resource-Policy: same-origin\r\n"
       "Content-Security-Policy: default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri "
       "'none'; form-action 'none'\r\n",
-      response.status, reason(response.status), response.type, bytes, response.cache);
+      response.status, response.type, bytes, response.cache);
   if (!response.location.empty()) head += "Location: " + response.location + "\r\n";
   if (!response.allow.empty()) head += "Allow: " + response.allow + "\r\n";
   if (!response.download_name.empty())

@@ -59,8 +59,6 @@ std::string type_of_export(const std::string& file) {
   return "application/octet-stream";
 }
 
-bool is_open(const ExportState& state) { return state.state == "waiting" || state.state == "running"; }
-
 }  // namespace
 
 PageExports::~PageExports() {
@@ -75,7 +73,7 @@ PageExports::~PageExports() {
 std::string PageExports::start(const std::string& what) {
   if (!recipes().contains(what)) kRequest.refuse_value("what", "labels, coco or mesh", what);
   const std::scoped_lock lock(mutex_);
-  if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
+  if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return e.state.is_open(); }) >=
       static_cast<std::ptrdiff_t>(kMostOpen))
     throw Error(ErrorKind::unavailable, "serve.exports.full",
                 fmt::format("{} exports are running or waiting", kMostOpen), "wait until one is done, or cancel one");

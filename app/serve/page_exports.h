@@ -23,6 +23,8 @@ struct ExportState {
   std::string state = "waiting";   ///< then "running", then "done", "failed" or "canceled"
   std::string text;                ///< a short sentence
   std::vector<std::string> files;  ///< names, when it is done
+
+  bool is_open() const { return state == "waiting" || state == "running"; }
 };
 
 struct ExportOptions {

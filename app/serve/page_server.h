@@ -166,6 +166,7 @@ class PageServer : NonCopyable {
 
   /// Requests for news no longer wait: the session ends.
   void end_waiting() { news_.end(); }
+  std::vector<ExportState> exports() const { return exports_.list(); }
 
  private:
   HttpResponse get_state(const HttpRequest& request);

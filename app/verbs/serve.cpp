@@ -160,6 +160,8 @@ int run(const ServeOptions& options, AppContext& context) {
   }
   const std::shared_ptr<const LabelState> state = session.state();
   print_note(context, fmt::format("stopped at step {} with {} labels, all saved", state->step, state->marks.size()));
+  for (const ExportState& one : server.exports())
+    if (one.is_open()) print_note(context, "the export " + one.id + " was stopped; begin it again on the page");
   const std::string word = shell_word(session.run_dir());
   print_next(context, {{"serve " + word + segments, "continues to label"},
                        {"train --resume " + word + " --time 5m", "trains on with these labels"}});

@@ -184,9 +184,15 @@ void Run::write_records(const RunFolder& folder) {
   environment.threads = thread_count();
   environment.seed = session_.config.runtime.seed;
   environment.input_hash = training_->inputs().hash();
-  // Those of earlier resumes, which the file holds that is about to be written again, and this one's.
+  // The file that is about to be written again holds the run's start, and the changes of earlier resumes.
   const std::string path = folder.environment_path();
-  if (fs::exists(path)) environment.settings_changed = parse_settings_changed(read_text_file(path), path);
+  std::string started = fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr)));
+  if (fs::exists(path)) {
+    const std::string before = read_text_file(path);
+    environment.settings_changed = parse_settings_changed(before, path);
+    for (const auto& [name, value] : parse_environment(before, path))
+      if (name == "started") started = value;
+  }
   for (const std::string& line : changed_) {
     std::vector<std::string>& all = environment.settings_changed;
     if (std::find(all.begin(), all.end(), line) == all.end()) all.push_back(line);
@@ -194,7 +200,7 @@ void Run::write_records(const RunFolder& folder) {
   for (const PluginEntry* entry : registry_.entries()) environment.modules.push_back(entry->module);
   const Executor<float>& executor = session_.pipeline->executor();
   environment.more = {
-      {"started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr)))},
+      {"started", started},
       {"device", executor.description()},
       {"matrix products", executor.matrix_products()},
       {"precision", std::string(precision_name(session_.config.runtime.precision))},

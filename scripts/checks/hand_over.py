@@ -1,7 +1,9 @@
-"""What a run hands over to other programs, and the page of `semfield view`."""
+"""What a run hands over to other programs, and its pages in browsers."""
 import base64
+import contextlib
 import json
 import math
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +40,18 @@ MEASURE = """
     return last;"""
 
 
+@contextlib.contextmanager
+def served(*words):
+    """The address of the page that a verb serves, until it is left."""
+    words = [*words, "--json", "-q"]
+    program = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        yield json.loads(program.stdout.readline() or common.run(*words))["url"]
+    finally:
+        program.send_signal(signal.SIGINT)
+        program.wait()
+
+
 def view(run, *, build=common.BUILD):
     """Measures how soon `semfield view` shows a run of the shipped room, and the long edge of the dining table as a
 person does, by points read in headless Chromium: the last ones of the table's top on the line from end to end.
@@ -47,18 +61,13 @@ view_ready_s is from start to the first picture, measured_error a share of the e
         raise common.Failed("no chromium and chromium-driver here: apt-get install chromium chromium-driver")
     with browser.Driver() as driver:
         page, begin = driver.browser(), time.monotonic()
-        words = [build / "bin" / "semfield", "view", run, "--json", "-q"]
-        viewed = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        try:
-            page.open(json.loads(viewed.stdout.readline())["url"])
+        with served(build / "bin" / "semfield", "view", run) as url:
+            page.open(url)
             page.wait("document.body.dataset.state === 'ready'", "no picture", 60)
             ready = time.monotonic() - begin
             page.wait("document.body.dataset.mesh === 'fine'", "no fine mesh", 300)
             page.call("POST", "/timeouts", {"script": 300_000})  # a CPU draws the whole mesh for every point
             ends = [page.run(MEASURE, TOP, EDGE, side) for side in (-1, 1)]
-        finally:
-            viewed.send_signal(signal.SIGINT)
-            viewed.wait()
     if not all(ends):
         raise common.Failed("the table is not seen: the run is none of the shipped room, or was trained too briefly")
     length = math.dist(*ends)
@@ -91,6 +100,66 @@ needs chromium and chromium-driver."""
             inputs[-1].write_bytes(base64.b64decode(data.partition(",")[2]))
         joined = ["-filter_complex", f"hstack=inputs={len(inputs) // 2}"] if len(inputs) > 2 else []
         common.run("ffmpeg", "-v", "error", "-y", *inputs, *joined, out)
+
+
+PHONE, PAPER_PX = (390, 844), round((210 - 2 * 12) / 25.4 * 96)  # A4 less the margins of report.css
+NAMES = ".map((e) => `${e.tagName}#${e.id}.${e.className}`)"
+# What sticks out of the screen, but for what a person scrolls sideways there, and what ends in dots.
+WIDE = """const holds = (e) => e.matches("#strip, .scroll, pre") || getComputedStyle(e).overflowX === "hidden";
+    const isHeld = (e) => (e = e.parentElement) !== document.body && e !== null && (holds(e) || isHeld(e));
+    const out = [...document.body.querySelectorAll("*")].filter((e) => e.getBoundingClientRect().right > innerWidth + 1 && !isHeld(e));
+    if (document.documentElement.scrollWidth > innerWidth + 1) out.push(document.documentElement);
+    return out""" + NAMES
+# A view that is open to labels and its first class, or true: the dialog of a new one is open.
+CHOOSE = """document.querySelector("#strip button:not(:has(.badge))").click();
+    const [one] = document.querySelectorAll("#classes button[aria-checked=false]");
+    (one ?? document.getElementById("new-class")).click();
+    return document.getElementById("class-dialog").open"""
+# On paper nothing scrolls: what would is cut, and so is what is wider than the paper.
+CUT = """for (const one of document.querySelectorAll("details")) one.open = true;
+    return [...document.querySelectorAll("table, pre, .scroll, .panel, img, svg")].filter((e) =>
+      e.getBoundingClientRect().right > innerWidth + 1 || e.clientWidth && e.scrollWidth > e.clientWidth + 1)""" + NAMES
+
+
+def pages(run, *, build=common.BUILD):
+    """Opens the labelling page, the viewer, the report and its scene in 3D on a phone of 390 x 844 pixels, and counts what
+is wider than the screen; prints the report to A4, unfolded, and counts what is cut. It labels in a run of its own."""
+    program, ready = build / "bin" / "semfield", "document.body.dataset.state === 'ready'"
+    with browser.Driver() as driver, common.work_folder() as folder:
+        page, report, wide = driver.browser(), folder / "report.html", []
+
+        def look(what, script=WIDE):
+            found = page.run(script)
+            common.check(not found, f"{what}: {', '.join(found[:8])}")
+            return found
+
+        page.size(*PHONE, is_phone=True)
+        own = [run / "run.yaml", "--out", folder / "run"]
+        if (run / "clicks.jsonl").exists():  # with which a copy of their run goes on
+            own = [shutil.copytree(run, folder / "run")]
+        for words, shown in (["serve", *own], "document.querySelector('#strip img[src]')"), (["view", run], ready):
+            with served(program, *words) as url:
+                page.open(url)
+                page.wait(shown, "nothing is shown", 60)
+                wide += look(f"{words[0]} on a phone")
+                if words[0] == "serve":
+                    if page.run(CHOOSE):
+                        page.keys(*"a class with a long name", "enter")
+                    page.click("#canvas")
+                    page.wait("document.querySelector('#classes .clicks:not(:empty)')", "no click")
+                    wide += look("a click on a phone")
+        common.run(program, "report", run, "--out", report, "-q")
+        page.open(report.as_uri())
+        wide += look("the report on a phone")
+        scene = page.run("return data.scene ?? ''")
+        page.size(PAPER_PX, 1000, media="print")
+        cut = look("the report on A4", CUT)
+        page.size(*PHONE, is_phone=True)
+        report.write_text(scene or "<body data-state=ready>", encoding="utf-8")
+        page.open(report.as_uri())
+        page.wait(ready, "no scene", 60)
+        wide += look("the scene in 3D on a phone")
+    return {"phone_overflow": len(wide), "print_cut": len(cut)}
 
 
 def hand_over(run, *, build=common.BUILD):

@@ -317,6 +317,7 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
   EXPECT_EQ(state->named, 2);
   EXPECT_EQ(state->classes.at(1).name, "floor");
   EXPECT_EQ(state->room, 6);
+  EXPECT_GT(state->classes.at(0).area_share, 0) << "what it knew, before the surface is found again";
   EXPECT_FALSE(again.session.apply(again.click("4", 2, "floor", {24.5, 33.5})));
   again.start();
   EXPECT_EQ(again.settled()->overlay_events, 6u);

@@ -94,14 +94,14 @@ class Browser:
     def call(self, method, path, value=None):
         return self.driver.call(method, self.path + path, value)
 
-    def size(self, width, height):
-        """Of the page, without the window's frame."""
-        self.call("POST", "/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride",
-                                                "params": {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}})
+    def emulate(self, what, **values):
+        self.call("POST", "/goog/cdp/execute", {"cmd": f"Emulation.set{what}", "params": values})
 
-    def touch(self, on):
-        """Whether fingers are what points here."""
-        self.call("POST", "/goog/cdp/execute", {"cmd": "Emulation.setTouchEmulationEnabled", "params": {"enabled": on}})
+    def size(self, width, height, is_phone=False, media=""):
+        """Of the page, without the window's frame; is_phone: fingers point; media: "print" is on paper of this size within its margins."""
+        self.emulate("DeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=is_phone)
+        self.emulate("EmulatedMedia", media=media)
+        self.emulate("TouchEmulationEnabled", enabled=is_phone)
 
     def open(self, address):
         self.call("POST", "/url", {"url": address})

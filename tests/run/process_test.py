@@ -215,6 +215,8 @@ class RunTruth(ProgramCase):
     def test_settings_of_a_resume_are_stored_and_told(self):
         self.room(5)
         self.ok("train config.yaml --threads 1 --out run")
+        environment = self.dir / "run/environment.json"
+        environment.write_text(environment.read_text().replace('"started": "', '"started": "on '))
         self.has(self.ok("train --resume run --set train.steps=9 --set report.strips=1").err,
                  "from step 5 on: train.steps: 5 -> 9")
         file = self.dir / "run/run.yaml"
@@ -224,7 +226,8 @@ class RunTruth(ProgramCase):
         again = self.ok("train --resume run --set train.steps=12").err
         self.has(again, "from step 9 on: train.steps: 9 -> 12")
         self.lacks(again, "strips")
-        self.assertEqual(json.loads((self.dir / "run/environment.json").read_text())["settings_changed"],
+        self.has(environment.read_text(), '"started": "on 20')  # the first training's, not the resume's
+        self.assertEqual(json.loads(environment.read_text())["settings_changed"],
                          ["step 5: train.steps: 5 -> 9", "step 5: report.strips: 0 -> 1",
                           "step 9: train.steps: 9 -> 12"])
         self.has((self.dir / "run/report.html").read_text(), "step 9: train.steps")

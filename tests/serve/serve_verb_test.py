@@ -146,10 +146,12 @@ class Serve(ProgramCase):
             exports = served.state_when(
                 lambda state: state["exports"][-1]["state"] not in ("waiting", "running"))["exports"]
             self.assertEqual(exports[-1]["state"], "done", exports)
+        served.post("export", {"what": "mesh"})
         with zipfile.ZipFile(io.BytesIO(served.get("export/labels-1/0"))) as labels:
             self.assertEqual(len(labels.namelist()), views + 1)  # and the classes
         self.assertEqual(len(json.loads(served.get("export/coco-1/0"))["images"]), views)
         self.assertEqual([served.get(f"export/mesh-1/{n}")[:4] for n in range(4)], [b"ply\n", b"glTF"] * 2)
+        self.ended(served.ended_by(signal.SIGINT), 130, "the export mesh-2 was stopped; begin it again on the page")
 
     def test_the_next_port_is_taken_unless_one_is_named(self):
         first, other = self.serve(50), self.folder() / "room"

@@ -117,6 +117,18 @@ export function askClass(classes, row, answered) {
   input.select();
 }
 
+/// The help where fingers do it all.
+export const kFingers = [
+  ['Label', [
+    ['tap, drag', 'label with the chosen class: a place, a stroke'],
+    ['polygon, thing, eraser', 'each says what it does when you choose it'],
+    ['tap a click', 'with its own class chosen: select it, to delete it'],
+    ['tap the class', 'that is chosen: rename, merge or delete it'],
+    ['Another', 'the next clicks are on another thing of the chosen class'],
+  ]],
+  ['Look', [['two fingers', 'move the picture, and zoom']]],
+];
+
 /// What each key does, as Page.followKeys takes it.
 export function keyTable(page) {
   const {stage, labeller, settings} = page;

@@ -13,6 +13,9 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+/// What is said to a person with a mouse and keys, or to one with fingers alone.
+export const byHand = (mouse, fingers) => (matchMedia('(pointer: coarse)').matches ? fingers : mouse);
+
 export function setPressed(isOn) {
   for (const [id, on] of Object.entries(isOn)) setAttribute(byId(id), 'aria-pressed', on);
 }

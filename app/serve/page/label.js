@@ -1,7 +1,7 @@
 // The labelling page put together: state comes in, the parts show it, keys and buttons act.
 import {PictureCamera} from './camera.js';
-import {Settings, ask, askClass, followClicksBeside, keyTable} from './dialogs.js';
-import {byId, onClick, safeStorage} from './dom.js';
+import {Settings, ask, askClass, followClicksBeside, kFingers, keyTable} from './dialogs.js';
+import {byHand, byId, onClick, safeStorage} from './dom.js';
 import {Labeller} from './labeller.js';
 import {Page} from './page.js';
 import {Bars, Panel, Strip} from './panel.js';
@@ -129,8 +129,8 @@ class LabelPage extends Page {
   }
 
   deleteClass({name, clicks}) {
-    const what = clicks ? `Its ${clicks} click${clicks === 1 ? '' : 's'} go with it, in all views.` : 'It has no clicks.';
-    ask(`Delete "${name}"?`, `${what} Undo (z) brings it back.`, 'Delete it', (isMeant) => {
+    const what = clicks === 1 ? 'Its click goes with it.' : clicks ? `Its ${clicks} clicks go with it, in all views.` : 'It has no clicks.';
+    ask(`Delete "${name}"?`, `${what} Undo${byHand(' (z)', '')} brings it back.`, 'Delete it', (isMeant) => {
       if (isMeant) this.labeller.deleteClass(name);
       else this.messages.tell(`"${name}" stays.`);
     });
@@ -181,7 +181,7 @@ class LabelPage extends Page {
 
   connect() {
     const {stage} = this;
-    this.followKeys(keyTable(this));
+    this.followKeys(keyTable(this), kFingers);
     onClick('show-photo', () => this.set(this, {isRendered: false}));
     onClick('show-rendered', () => this.set(this, {isRendered: true}));
     for (const kind of ['labels', 'entropy']) onClick(`show-${kind}`, () => this.set(stage, {kind, isHidden: false}));

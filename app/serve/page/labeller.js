@@ -1,5 +1,5 @@
 // What a person does to the labels: clicks, classes, undo. Keeps what the program does not know yet and adds it to its state.
-import {safeStorage, store, stored} from './dom.js';
+import {byHand, safeStorage, store, stored} from './dom.js';
 import {EventQueue, Ids} from './api.js';
 import {MarkBirths, combined, kIgnore, merged, outlineCorners, strokeParts} from './model.js';
 
@@ -183,7 +183,7 @@ export class Labeller {
   deleteClass(name) {
     const {clicks} = this.classOf(name);
     this.add({type: 'delete', class: name});
-    this.messages.tell(`"${name}" is deleted${clicks ? ` with ${clicks} click${clicks === 1 ? '' : 's'}` : ''}; z brings it back.`);
+    this.messages.tell(`"${name}" is deleted${clicks ? ` with ${clicks} click${clicks === 1 ? '' : 's'}` : ''}; ${byHand('z', 'undo')} brings it back.`);
   }
 
   addClass(name, color) {

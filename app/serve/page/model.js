@@ -184,7 +184,7 @@ export function nameProblem(name, others) {
 
 const kWhy = {
   uncertain: 'the model is uncertain',
-  unseen: 'no label reaches it yet',
+  unseen: 'every click is far from it',
 };
 export const reason = (why) => kWhy[why] ?? why;
 

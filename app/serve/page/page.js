@@ -1,7 +1,7 @@
 // What the labelling page and the viewer share: a canvas with one camera that is drawn at most once a frame, the pointer, keys and their help, messages, and
 // the line about the connection.
 import {followState, sentence} from './api.js';
-import {byId, make, setText} from './dom.js';
+import {byHand, byId, make, setText} from './dom.js';
 import {followPointer} from './pointer.js';
 
 /// Messages over the canvas: errors stay until they are closed, others go after a while.
@@ -74,7 +74,7 @@ function helpDialog(table) {
   const sections = table.map(([title, rows]) => make('section', {}, make('h3', {}, title),
     make('dl', {}, ...rows.flatMap(([keys, what]) => [make('dt', {}, keys), make('dd', {}, what)]))));
   return make('dialog', {id: 'help-dialog', 'aria-labelledby': 'help-title'}, make('form', {method: 'dialog'},
-    make('header', {}, make('h2', {id: 'help-title'}, 'Keys and mouse'), make('span', {class: 'gap'}), make('button', {}, 'Close')),
+    make('header', {}, make('h2', {id: 'help-title'}, byHand('Keys and mouse', 'Help')), make('span', {class: 'gap'}), make('button', {}, 'Close')),
     make('div', {id: 'help-tables'}, ...sections)));
 }
 
@@ -153,9 +153,9 @@ export class Page {
   }
 
   /// table: [title, [[keys and gestures as the help names them, what they do, actions by the names of nameOfKey], ...]], ... Buttons with data-act do the
-  /// same as their key.
-  followKeys(table) {
-    const help = helpDialog(table);
+  /// same as their key. `fingers`: what the help names where there are no keys.
+  followKeys(table, fingers = table) {
+    const help = helpDialog(byHand(table, fingers));
     document.body.append(help);
     const actions = Object.assign({'?': () => help.showModal()}, ...table.flatMap(([, rows]) => rows.map(([, , acts]) => acts)));
     for (const button of document.querySelectorAll('[data-act]')) button.addEventListener('click', () => actions[button.dataset.act]());

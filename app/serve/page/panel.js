@@ -1,6 +1,6 @@
 // The right side: classes, exports and notes; and the line at the foot.
 import {photoAddress, postJson} from './api.js';
-import {byId, cssColor, make, refill, setAttribute, setPressed, setStyle, setText, showLegend, swatch} from './dom.js';
+import {byHand, byId, cssColor, make, refill, setAttribute, setPressed, setStyle, setText, showLegend, swatch} from './dom.js';
 import {shapeOf} from './labeller.js';
 import {duration, orderedViews, reason, short} from './model.js';
 
@@ -49,7 +49,7 @@ export class Bars {
     const none = classes.length === 0;
     const guess = classes.find(({index}) => index >= 0 && index === proposal?.class_guess);
     text.classList.toggle('some', Boolean(proposal));
-    setText(text, !proposal ? 'No click is proposed at the moment.'
+    setText(text, !proposal ? (state.run.geometry_ready ? 'No click is proposed at the moment.' : 'Clicks are proposed once the surface is known.')
       : `Click proposed ${isHere ? 'here' : `in ${state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
     const take = byId('proposal-take');
     take.hidden = byId('proposal-skip').hidden = !proposal;
@@ -79,10 +79,11 @@ export class Bars {
     const {views} = this.page.state;
     const hasMarks = labeller.marks.length > 0;
     const words = view?.held_out ? null : views.length === 0 ? ['There is no view to label', 'The scene has no training frame.']
-      : classes.length === 0 ? ['Name the first class', 'Press n, or click on something in the picture. Colour and geometry are being learned already; ' +
-          'labels of all views follow within a second of the first clicks.']
-      : !hasMarks && labeller.chosen === null ? ['Choose a class, then click', 'Keys 1 to 9 choose a class, n makes one. A click, or a drag along something, labels it.']
-      : !hasMarks ? [`Click on something that is "${this.page.labeller.classOf(labeller.chosen).label ?? labeller.chosen}"`, 'Or drag along it. Keys 1 to 9 choose another class, n makes one.'] : null;
+      : classes.length === 0 ? ['Name the first class', `${byHand('Press n, or click on', 'Tap')} something in the picture. Soon after the first labels, all views have some.`]
+      : !hasMarks && labeller.chosen === null ? [`Choose a class, then ${byHand('click', 'tap')}`,
+        byHand('Keys 1 to 9 choose a class, n makes one. A click, or a drag along something, labels it.', 'A tap, or a drag along something, labels it. Two fingers move the picture.')]
+      : !hasMarks ? [`${byHand('Click on', 'Tap')} something that is "${labeller.classOf(labeller.chosen).label ?? labeller.chosen}"`,
+        `Or drag along it. ${byHand('Keys 1 to 9 choose another class, n makes one.', 'Two fingers move the picture.')}`] : null;
     welcome.hidden = !words;
     if (words) refill(welcome, words, () => [make('h2', {}, words[0]), make('p', {}, words[1])]);
   }
@@ -130,7 +131,7 @@ export class Panel {
     [row.key, row.swatch, row.name, row.clicks, row.area, row.sure] = parts;
     row.item = make('button', {
       role: 'radio',
-      onclick: () => this.page.choose(row.shown.name),
+      onclick: () => (byHand(false, row.shown.name === this.page.labeller.chosen) ? this.page.change(row.shown) : this.page.choose(row.shown.name)),
       ondblclick: () => this.page.change(row.shown),
       onpointerenter: () => this.page.stage.point(row.shown.name),
       onpointerleave: () => this.page.stage.point(null),
@@ -175,7 +176,8 @@ export class Panel {
     this.updateExports(state.exports ?? []);
     const notes = (state.notes ?? []).slice(-5);
     byId('notes').hidden = notes.length === 0;
-    refill(byId('notes'), notes, () => [make('header', {}, make('h2', {}, 'Notes')), ...notes.map((note) => make('p', {}, note))]);
+    const words = (note) => note.split('`').map((part, i) => (i % 2 ? make('code', {}, part) : part));
+    refill(byId('notes'), notes, () => [make('summary', {}, make('h2', {}, `Notes (${notes.length})`)), ...notes.map((note) => make('p', {}, ...words(note)))]);
     const {run} = state;
     const psnr = run.psnr ? `PSNR ${run.psnr.toFixed(1)} dB` : '';
     const parts = [run.name, run.phase, `step ${run.step.toLocaleString('en')}`, psnr, duration(run.train_s), `${short(run.rays_per_s)} rays/s`, run.device];

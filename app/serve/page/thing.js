@@ -2,6 +2,8 @@
 // faintly where the pointer rests.
 import {Refusal, getThing} from './api.js';
 import {isInside} from './camera.js';
+import {byHand} from './dom.js';
+import {isWithin} from './model.js';
 
 const kRest_ms = {thing: 60, brush: 500};  // of the pointer, before the program is asked
 const kNotch_ms = 90;                      // a turn of the wheel is one level, however many reports it makes
@@ -17,16 +19,7 @@ export function sidesOf(outline) {
 }
 
 /// By the even-odd rule.
-export function holds(outlines, [x, y]) {
-  let isIn = false;
-  for (const outline of outlines) {
-    outline.forEach(([ax, ay], i) => {
-      const [bx, by] = outline[(i + 1) % outline.length];
-      if (ay > y !== by > y && x < ax + ((y - ay) / (by - ay)) * (bx - ax)) isIn = !isIn;
-    });
-  }
-  return isIn;
-}
+export const holds = (outlines, at) => outlines.filter((outline) => isWithin(outline, ...at)).length % 2 > 0;
 
 export class ThingTool {
   constructor(tools) {
@@ -132,7 +125,8 @@ export class ThingTool {
   tellHeld() {
     this.isNew = false;
     const guess = this.labeller.classes.find(({index}) => index >= 0 && index === this.shown.class_guess);
-    this.page.messages.tell(`Enter or a click labels it${guess && guess.name !== this.labeller.chosen ? `; it looks like "${guess.name}"` : ''}. The wheel grows and shrinks it, a stroke splits off or adds.`);
+    const looks = guess && guess.name !== this.labeller.chosen ? `; it looks like "${guess.name}"` : '';
+    this.page.messages.tell(`${byHand('Enter or a click', 'A tap')} labels it${looks}. ${byHand('The wheel grows and shrinks it, a', 'A')} stroke splits off or adds.`);
   }
 
   /// The thing gets the chosen class and a number of its own; false: none is held.

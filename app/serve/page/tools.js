@@ -1,5 +1,6 @@
 // What the pointer does to the view: a brush that labels, a polygon, whole things, an eraser of marks.
 import {isInside} from './camera.js';
+import {byHand} from './dom.js';
 import {markAt} from './model.js';
 import {ThingTool} from './thing.js';
 
@@ -32,10 +33,10 @@ export class Tools {
     const dropped = this.forget();
     this.kind = kind;
     this.page.messages.tell(dropped + {
-      brush: 'Brush: a click or a drag labels.',
-      polygon: 'Polygon: click its corners, or drag along its edge; the first corner, a double click or enter closes it.',
-      thing: 'Thing: point at one, click, and click again to label it. The wheel grows and shrinks it, a stroke splits off or adds.',
-      erase: 'Eraser: click or drag over clicks, strokes and polygons to delete them.',
+      brush: `Brush: a ${byHand('click', 'tap')} or a drag labels.`,
+      polygon: `Polygon: ${byHand('click', 'tap')} its corners, or drag along its edge; the first corner${byHand(', a double click or enter', '')} closes it.`,
+      thing: `Thing: ${byHand('point at one, click, and click', 'tap one, and tap')} again to label it. ${byHand('The wheel grows and shrinks it, a', 'A')} stroke splits off or adds.`,
+      erase: `Eraser: ${byHand('click', 'tap')} or drag over clicks, strokes and polygons to delete them.`,
     }[kind]);
     this.page.redraw();
   }
@@ -50,7 +51,7 @@ export class Tools {
     const at = stage.view.imageAt(x, y);
     const isShown = this.isShown();
     this.isIn = isShown && isInside(stage.view.image, ...at);
-    if (isShown && !this.isIn) this.page.messages.tell('Click into the picture.');
+    if (isShown && !this.isIn) this.page.messages.tell(`${byHand('Click', 'Tap')} into the picture.`);
     if (!this.isIn) return;
     const {color, isIgnore} = stage.chosenRow;
     if (this.kind === 'brush') this.stroke = {points: [at], radius: stage.settings.radius, color, isIgnore, view: stage.shown, label: this.labeller.label};
@@ -189,7 +190,7 @@ export class Tools {
 
   nameFirst(then) {
     if (this.labeller.classes.length === 0) this.page.make(then);
-    else this.page.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
+    else this.page.messages.tell(`Choose a class first${byHand(': keys 1 to 9, or n for a new one', ', or make one')}.`);
   }
 
   click({points, radius, view, label}) {

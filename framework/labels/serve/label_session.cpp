@@ -15,6 +15,7 @@
 #include <numeric>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -313,6 +314,7 @@ void LabelSession::summarise() {
     summary_.sure[c] = count[c] > 0 ? sure[c] / count[c] : 0;
     summary_.area[c] = points > 0 ? count[c] / static_cast<double>(points) : 0;
   }
+  if (probability.empty() && unlearned_) summary_.area.clear();  // so the state's stay
   for (const std::vector<std::int32_t>& seen : loop_.pool().point_of_pixel) {
     double sum = 0, pixels = 0;
     for (const std::int32_t point : seen) {
@@ -428,6 +430,11 @@ LabelSession::LabelSession(LabelledRun labelled_run)
   first->events = log_.events().size();
   first->notes = std::move(labelled_run.warnings);
   name_classes(*first);
+  // Until the surface is known again, what the run knew of it when it stopped.
+  if (const std::string path = run_->folder()->labelling_path(); std::filesystem::is_regular_file(path))
+    for (const LabellingRecord::Class& one : parse_labelling_record(read_text_file(path), path).classes)
+      for (ClassState& cls : first->classes)
+        if (cls.id == one.id) std::tie(cls.area_share, cls.confidence) = std::tie(one.area_share, one.confidence);
   describe(*first);
   first->revision = 1;
   state_ = std::move(first);

@@ -1,5 +1,5 @@
 "use strict";
-// Plots as SVG: axes with round ticks, several series, linear or logarithmic axes, error bars, bars and marks.
+// Plots as SVG: axes with round ticks, several series, linear or logarithmic axes, error bars and bars.
 
 // Text that html`` makes; what else is put into it is escaped.
 class Html {
@@ -21,7 +21,9 @@ function figure(value, digits = 4) {
   return text.replace(/^-/, "−");  // a minus sign, not a hyphen
 }
 
-const kWidth = 540, kHeight = 290, kLeft = 54, kRight = 66, kTop = 14, kBottom = 46, kBase = kHeight - kBottom;
+// In pixels of the page where there is room for two plots; a phone gets smaller ones, whose texts are no smaller.
+const kWidth = innerWidth < 640 ? 330 : 540, kHeight = innerWidth < 640 ? 230 : 290;
+const kLeft = 54, kRight = 66, kTop = 14, kBottom = 46, kBase = kHeight - kBottom;
 const kDashes = ["", "7 5", "2 5", "10 4 2 4"];
 const px = (value) => value.toFixed(1);
 const paint = (color) => `var(--s${color % 8})`;
@@ -53,11 +55,20 @@ function log_ticks(low, high) {
   if (tens.length >= 3) return tens;
   return more.length >= 2 ? more : linear_ticks(low, high, 3).filter((tick) => tick >= low && tick <= high);
 }
-function tick_text(value) {
-  for (const [unit, letter] of [[1e9, "G"], [1e6, "M"], [1e3, "k"]])
-    if (Math.abs(value) >= Math.max(1e4, unit)) return tick_text(value / unit) + letter;
-  if (value !== 0 && Math.abs(value) < 1e-3) return figure(value, 1).replace("−", "-");
-  return String(Number(value.toFixed(3)));
+const kSuperscripts = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+/** Texts of an axis's ticks, all in one notation: decimals, thousands or millions, or powers of ten. */
+function tick_texts(ticks) {
+  const sizes = ticks.filter((tick) => tick !== 0).map(Math.abs), least = Math.min(...sizes), most = Math.max(...sizes);
+  const power = (v) => {
+    const e = Math.floor(Math.log10(Math.abs(v)) + 1e-9), digits = [...String(Math.abs(e))].map((d) => kSuperscripts[d]);
+    const factor = Number((v / 10 ** e).toFixed(2));
+    return (factor === 1 ? "10" : `${factor}·10`) + (e < 0 ? "⁻" : "") + digits.join("");
+  };
+  const [unit, letter] = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""]].find(([size]) => most >= Math.max(1e4, size)) ??
+    [1, ""];
+  const is_wide = least < 1e-4 || most / least >= 1e5;
+  return ticks.map((tick) => tick === 0 ? "0" : (is_wide ? power(tick) :
+    Number((tick / unit).toPrecision(6)) + letter).replace("-", "−"));
 }
 
 /** At most `most` points: neighbours are averaged in equal groups. */
@@ -98,20 +109,8 @@ function point_text(p, digits) {
   return `${figure(p.y, digits)}${interval} at ${figure(p.x, 3)}`;
 }
 
-/** On the line as it is drawn: between two points it is straight in pixels. Nothing beyond the line's ends. */
-function draw_mark(mark, {points, color}, x, y) {
-  const i = points.findIndex((p) => p.x >= mark.x), after = points[i], before = points[i - 1];
-  if (i < 0 || (!before && after.x > mark.x)) return "";
-  const cx = x(mark.x), r = mark.diamond ? 7 : 5.5;
-  const cy = !before || after.x === mark.x ? y(after.y)
-    : y(before.y) + (cx - x(before.x)) / (x(after.x) - x(before.x)) * (y(after.y) - y(before.y));
-  const way = mark.diamond ? [[-r, 0], [0, -r], [r, 0], [0, r]].map(([dx, dy]) => `${px(cx + dx)} ${px(cy + dy)}`) : [];
-  const shape = mark.diamond ? html`path d="M${way.join("L")}Z"` : html`circle cx="${px(cx)}" cy="${px(cy)}" r="${r}"`;
-  return html`<${shape} class="mk" stroke="${paint(color)}"><title>${mark.text}</title></${shape.text.split(" ")[0]}>`;
-}
-
 function draw_series({markers, digits, log_y}, series, x, y) {
-  const {name, color, points, marks = [], reference} = series;
+  const {name, color, points, end, reference} = series;
   const way = points.map((p) => `${px(x(p.x))},${px(y(p.y))}`).join(" ");
   if (reference) return html`<polyline class="rf" points="${way}"/>`;
   const whisker = (p) => {
@@ -119,11 +118,11 @@ function draw_series({markers, digits, log_y}, series, x, y) {
     const bar = html`class="eb" stroke="${paint(color)}"`;
     return [line(at, low, at, high, bar), line(at - 4, low, at + 4, low, bar), line(at - 4, high, at + 4, high, bar)];
   };
-  const dots = points.map((p, i) => [has_interval(p) && whisker(p), (markers || i + 1 === points.length) &&
-    html`<circle cx="${px(x(p.x))}" cy="${px(y(p.y))}" r="${points.length === 1 ? 5 : 3}" fill="${paint(color)}"
-><title>${name}: ${point_text(p, digits)}</title></circle>`]);
-  return [way && !series.loose && html`<polyline class="ln" ${stroke(color)} points="${way}"/>`, dots,
-    marks.map((mark) => draw_mark(mark, series, x, y))];
+  const dot = (p, r) => html`<circle cx="${px(x(p.x))}" cy="${px(y(p.y))}" r="${r}" fill="${paint(color)}"
+><title>${name}: ${point_text(p, digits)}</title></circle>`;
+  const dots = points.map((p, i) => [has_interval(p) && whisker(p),
+    (markers || i + 1 === points.length) && dot(p, points.length === 1 ? 5 : 3)]);
+  return [way && !series.loose && html`<polyline class="ln" ${stroke(color)} points="${way}"/>`, dots, end && dot(end, 5)];
 }
 const draw_bars = ({color, bars = []}, x, y) => bars.map(({from, to, height, text}) => html`<rect class="br"
 x="${px(x(from) + 1)}" y="${px(y(height))}" width="${px(Math.max(0, x(to) - x(from) - 2))}"
@@ -131,8 +130,8 @@ height="${px(Math.max(0, kBase - y(height)))}" fill="${paint(color)}"><title>${t
 
 /** The last value of each series at its end, moved apart so that none covers another. */
 function end_labels(series, digits, x, y) {
-  const labels = series.filter(({points, reference}) => points.length && !reference).map(({points, color}) => {
-    const last = points.at(-1);
+  const labels = series.filter(({points, reference}) => points.length && !reference).map(({points, end, color}) => {
+    const last = end || points.at(-1);
     return {at: y(last.y), x: x(last.x), text: figure(last.y, digits), color};
   }).sort((a, b) => a.at - b.at);
   labels.forEach((label, i) => {
@@ -145,31 +144,32 @@ function end_labels(series, digits, x, y) {
 
 /**
  * spec: {title, x_label, log_x, log_y: points at or below 0 are left out then, markers: a dot at each point, digits,
- * end_values, x_range, y_range: of a linear axis, series: {name, color: 0 to 7, points: {x, y, low, high}, marks: {x,
- * diamond, text}, bars: {from, to, height, text}, reference: a thin line to compare with,
- * loose: dots without a line}}. Points that are not finite
- * are not drawn.
+ * end_values, x_range, y_range: of a linear axis, series: {name, color: 0 to 7, points: {x, y, low, high},
+ * bars: {from, to, height, text}, end: a point apart from the line, whose value stands at its end,
+ * reference: a thin line to compare with, loose: dots without a line}}. Points that are not finite are not drawn.
  */
 function plot(spec) {
   const {title, x_label, log_x, log_y, digits = 3, end_values = true} = spec;
   const drawn = spec.series.map((one) => ({...one, points: one.points.filter(({x, y}) =>
     Number.isFinite(x) && Number.isFinite(y) && (!log_y || y > 0) && (!log_x || x > 0))}));
   const told = spec.series.filter(({points, reference}) => points.length && !reference)
-                 .map(({name, points, marks = []}) => ` ${name}: from ${point_text(points[0], digits)} to ${
-                        point_text(points.at(-1), digits)}.${marks.map(({text}) => ` ${text}.`).join("")}`);
+                 .map(({name, points, end}) => ` ${name}: from ${point_text(points[0], digits)} to ${
+                        point_text(end || points.at(-1), digits)}.`);
   const ends = (p) => has_interval(p) ? [p.high, p.low].filter((v) => !log_y || v > 0) : [];
-  const xs =
-    drawn.flatMap(({points, bars = []}) => [...points.map((p) => p.x), ...bars.flatMap((bar) => [bar.from, bar.to])]);
-  const ys = drawn.flatMap(({points, bars = []}) =>
-    [...points.flatMap((p) => [p.y, ...ends(p)]), ...bars.flatMap((bar) => (log_y ? [bar.height] : [bar.height, 0]))]);
+  const all_of = ({points, end}) => (end ? [...points, end] : points);
+  const xs = drawn.flatMap((one) => [...all_of(one).map((p) => p.x), ...(one.bars ?? []).flatMap((bar) => [bar.from,
+    bar.to])]);
+  const ys = drawn.flatMap((one) => [...all_of(one).flatMap((p) => [p.y, ...ends(p)]),
+    ...(one.bars ?? []).flatMap((bar) => (log_y ? [bar.height] : [bar.height, 0]))]);
   const inside = () => {
     if (ys.length === 0) return text_at(kWidth / 2, kHeight / 2, "middle", "no data");
     const of_x = scale_x(spec, xs), of_y = scale_y(spec, ys), right = kWidth - kRight;
     const x = axis(of_x.low, of_x.high, kLeft, right, log_x), y = axis(of_y.low, of_y.high, kBase, kTop, log_y);
-    return [of_y.ticks.map((tick) => [line(kLeft, y(tick), right, y(tick), html`class="g"`),
-      text_at(kLeft - 8, y(tick) + 4, "end", tick_text(tick))]),
-    of_x.ticks.map((tick) => [line(x(tick), kBase, x(tick), kBase + 5, html`class="ax"`),
-      text_at(x(tick), kBase + 19, "middle", tick_text(tick))]),
+    const [x_texts, y_texts] = [of_x.ticks, of_y.ticks].map(tick_texts);
+    return [of_y.ticks.map((tick, i) => [line(kLeft, y(tick), right, y(tick), html`class="g"`),
+      text_at(kLeft - 8, y(tick) + 4, "end", y_texts[i])]),
+    of_x.ticks.map((tick, i) => [line(x(tick), kBase, x(tick), kBase + 5, html`class="ax"`),
+      text_at(x(tick), kBase + 19, "middle", x_texts[i])]),
     line(kLeft, kBase, right, kBase, html`class="ax"`), text_at((kLeft + right) / 2, kHeight - 6, "middle", x_label),
     drawn.map((one) => draw_bars(one, x, y)), drawn.map((one) => draw_series({...spec, digits}, one, x, y)),
     end_values && end_labels(drawn, digits, x, y)];

@@ -123,19 +123,6 @@ function time_of_level(rows, {key, better}, level) {
 /** Index of the run that came first for certain, or -1. */
 const first_for_certain = (times) => times.length < 2 ? -1 : times.findIndex((one, i) => one &&
   times.every((other, j) => i === j || (other && one.at <= other.before)));
-/**
- * Where a curve first covers `share` of the way from its first to its last value, read as straight lines; null where
- * the last is no better than the first.
- */
-function time_to_share(points, better, share) {
-  const [first, last] = [points[0], points.at(-1)];
-  if (points.length < 2 || better * (last.y - first.y) <= 0) return null;
-  const level = first.y + share * (last.y - first.y);
-  const i = points.findIndex((p, k) => k > 0 && better * (p.y - level) >= 0);
-  if (i < 0) return last.x;  // rounding kept the last value a hair from its own level
-  const before = points[i - 1], after = points[i], way = after.y - before.y;
-  return way === 0 ? before.x : before.x + (level - before.y) / way * (after.x - before.x);
-}
 
 // ---- pieces of the page
 
@@ -154,7 +141,9 @@ const sum = (numbers) => numbers.reduce((all, one) => all + one, 0);
 
 const small = (text) => text && html`<small class="d">${text}</small>`;
 const grey = (text) => html`<span class="none">${text}</span>`;
-const hint = (...text) => html`<p class="hint after">${text}</p>`;
+/** What stands between backticks is code. */
+const words = (text) => String(text).split("`").map((part, i) => (i % 2 > 0 ? html`<code>${part}</code>` : part));
+const hint = (...text) => html`<p class="hint after">${text.filter((one) => one).flatMap(words)}</p>`;
 const swatch = (color) => html`<span class="sw" style="background:rgb(${color.join(" ")})"></span>`;
 const head = (name, more, kind = "num") => html`<th scope="col" class="${kind}">${name}${small(more)}</th>`;
 const text_head = (name) => head(name, "", "");
@@ -165,23 +154,18 @@ const value_cell = (value, digits, is_best) => value === null ?
 /** Cells are Html, or texts of cells. */
 const row = (name, cells) => html`<tr><th scope="row">${name}</th>${
   [cells].flat(9).map((one) => (one instanceof Html ? one : cell(one)))}</tr>`;
-const scroll = (label, heads, rows, kind) => html`<div class="${kind}scroll" tabindex="0" role="region"
-aria-label="${label}"><table><thead>${heads}</thead><tbody>${rows}</tbody></table></div>`;
 /** columns: a name, [name, more], or Html of a head. */
-const table = (label, first, columns, rows, kind = "panel ") => scroll(label, html`<tr>${text_head(first)}${
-  columns.map((one) => (one instanceof Html ? one : head(...[one].flat())))}</tr>`, rows, kind);
+const table = (label, first, columns, rows, kind = "panel ") => html`<div class="${kind}scroll" tabindex="0" role="region"
+aria-label="${label}"><table style="--n:${columns.length}"><thead><tr>${text_head(first)}${
+  columns.map((one) => (one instanceof Html ? one : head(...[one].flat())))}</tr></thead><tbody>${
+  rows}</tbody></table></div>`;
 const details = (title, ...parts) => html`<details><summary>${title}</summary>${parts}</details>`;
 const panel = (title, note, ...parts) =>
   html`<figure class="panel"><figcaption>${title}<span>${note}</span></figcaption>${parts}</figure>`;
 const section = (id, title, sentence, ...parts) => html`<section id="${id}" aria-labelledby="${id}-h"><h2
 id="${id}-h">${title}</h2>${sentence && html`<p class="hint">${sentence}</p>`}${parts}</section>`;
-/** A plot for each of two abscissae, and a box that changes between them. */
-const choice = (id, label, one, other) => html`<input class="pick" type="checkbox" id="${id}"><label
-for="${id}">${label}</label><div class="plots one">${one}</div><div class="plots two">${other}</div>`;
-const run_heads = (sampled) => runs.map((run) => {
-  const sample = sampled && sample_text(last_row(run));
-  return head(run.name, sample && `sample: ${sample}`);
-});
+/** A column for each run, so that a page of one run is narrow. */
+const by_run = (label, first, rows, some = runs) => table(label, first, some.map(({name}) => name), rows);
 const legend = (names = several ? runs.map(({name}) => name) : []) =>
   names.length > 0 && html`<ul class="legend">${names.map((name, i) => html`<li>${line_sample(i)}${name}</li>`)}</ul>`;
 const of_run = (run) => several && `: ${run.name}`;
@@ -207,6 +191,7 @@ function facts_of(run) {
   return {
     Scene: run.scene,
     Frames: frames.filter((text) => text).join(", "),
+    Scored: part_text(last),
     Started: fact(run, "started"),
     Version: version && `Semfield ${version}`,
     Device: !device || device === "cpu" ? fact(run, "cpu") : device
@@ -218,17 +203,15 @@ function facts() {
   if (!several)
     return names.length > 0 &&
       html`<dl class="facts">${names.map((name) => html`<div><dt>${name}</dt><dd>${told[0][name]}</dd></div>`)}</dl>`;
-  const rows = runs.map((run, i) => row(run.name, names.map((name) => html`<td>${told[i][name]}</td>`)));
-  return html`<div class="facts">${table("Runs", "Run", names.map(text_head), rows)}</div>`;
+  const rows = names.map((name) => row(name, told.map((of) => html`<td>${of[name]}</td>`)));
+  return html`<div class="facts">${table("Runs", "", runs.map((run) => text_head(run.name)), rows)}</div>`;
 }
 function notices() {
-  const sampled = runs.filter((run) => sample_text(last_row(run)))
-                    .map((run) => (several ? `${run.name}: ` : "") + sample_text(last_row(run)));
   return [
     several && !ranked && `The runs are not ranked: ${unranked.join("; ")}.`,
-    sampled.length > 0 && `Figures are of a sample of the split “${split}” (${sampled.join("; ")}); ` +
-      "`semfield eval` on the run folder scores every pixel, and `semfield report` shows that then."
-  ].map((text) => text && html`<p class="notice">${text}</p>`);
+    runs.some((run) => sample_text(last_row(run))) && `Figures are of a sample of the split “${split}”. ` +
+      "`semfield eval` scores every pixel of a run folder; then `semfield report` shows that."
+  ].map((text) => text && html`<p class="notice">${words(text)}</p>`);
 }
 function cards() {
   const card = (label, value, unit, note) => html`<div class="card"><div class="k">${label}</div><div
@@ -237,11 +220,10 @@ class="v">${value}${unit && html`<span class="u">${unit}</span>`}</div><div clas
     ["miou_present", "total_accuracy", "psnr", "psnr_fitted_colors", "psnr_refined_poses", "absrel"];
   const longest = runs.reduce((a, b) => (trained_s(b) > trained_s(a) ? b : a));
   return html`<div class="cards">${shown.map((key) => {
-    const {label, unit, better, help} = metric_of(key), values = runs.map((run) => last_value(run, key));
+    const {label, unit, digits, better, help} = metric_of(key), values = runs.map((run) => last_value(run, key));
     const first = best_of(values, better), best = first < 0 ? values.findIndex((value) => value !== null) : first;
     if (best < 0) return "";
-    const part = part_text(last_row(runs[best])), note = several ? `best: ${runs[best].name}` : help;
-    return card(label, figure(values[best], key === "absrel" ? 2 : 3), unit, part ? `${note}; ${part}` : note);
+    return card(label, figure(values[best], digits), unit, several ? `best: ${runs[best].name}` : help);
   })}${card(several ? "Longest training" : "Training", duration(trained_s(longest)), "",
     `${several ? `${longest.name}: ` : ""}${count(largest(longest, "step"))} steps, evaluation not counted`)}</div>`;
 }
@@ -262,30 +244,31 @@ function figures() {
       values.map((value, i) => value_cell(value, digits, i === best)));
   });
   rows.push(row(["Training time", small("evaluation not counted")], runs.map((run) => duration(trained_s(run)))));
-  const sampled = runs.some((run) => sample_text(last_row(run))) ? ", of the sample that the head names" : "";
-  const of_split = (split ? ` on the split “${split}”` : "") + sampled;
+  const of_split = split && ` on the split “${split}”`;
   const rank = !several ? "" : ranked ? " The best of each row is set in bold." :
                                         " The runs are not ranked; the reason is at the top.";
   const sentence = runs.some((run) => last_row(run)) ? `Last evaluation${of_split}.${rank}` :
     "No frame was scored: the scene has no test frames, or the run has not come to an evaluation.";
   return section("figures", "Figures", sentence,
-    html`<div class="figures">${table("Figures", "Metric", run_heads(true), rows)}</div>`);
+    html`<div class="figures">${by_run("Figures", "Metric", rows)}</div>`);
 }
 
 function classes() {
   const of_each = runs.map((run) => eval_rows(run).findLast((one) => one.per_class_iou)?.per_class_iou ?? {});
   const names = new Set([...data.classes.map(({name}) => name), ...of_each.flatMap(Object.keys)]);
-  const bars = [...names].filter((name) => of_each.some((ious) => Object.hasOwn(ious, name))).map((name) => {
+  const seen = [...names].filter((name) => of_each.some((ious) => get(ious, name) !== null));
+  const bars = seen.map((name) => {
     const color = data.classes.find((one) => one.name === name)?.color ?? [128, 128, 128];
     const ious = of_each.map((of) => get(of, name));
     const bar = (iou, i) => html`<i style="width:${(100 * Math.min(1, Math.max(0, iou))).toFixed(1)}%;background:${
       several ? paint(i) : `rgb(${color.join(" ")})`}"></i>`;
     return html`<div class="bar"><span class="name">${swatch(color)}${name}</span><span>${ious.map((iou, i) =>
       html`<div class="tr">${iou !== null && bar(iou, i)}</div>`)}</span><span class="val">${ious.map((iou) =>
-      iou === null ? html`<div class="none">no data</div>` : html`<div>${iou.toFixed(3)}</div>`)}</span></div>`;
+      html`<div>${iou === null ? grey("–") : iou.toFixed(3)}</div>`)}</span></div>`;
   });
   return bars.length > 0 && section("classes", "Intersection over union by class",
-    `Bars run from 0 to 1, in the ${several ? "order and colours of the legend" : "colours of the label images"}.`,
+    `Bars run from 0 to 1, in the ${several ? "order and colours of the legend" : "colours of the label images"}; ` +
+      "classes that no scored frame shows have none.",
     legend(), html`<div class="panel bars">${bars}</div>`);
 }
 
@@ -302,22 +285,22 @@ const scene = () => data.scene &&
   section("scene", "3D", `A coarse mesh${several ? ` of ${runs[0].name}` : ""}. Drag to turn; click it first to zoom.`,
     html`<iframe loading="lazy" title="The scene in three dimensions" srcdoc="${data.scene}"></iframe>`);
 
+const kProofs = {B: "the same bits", C: "the same within a bound", S: "the same in statistics"};
+/** What the scene gave a reason for; a loss that nobody asked for is no part of it. */
 function left_out() {
   const kept = new Map();  // a row that several runs have stands once, with their names
   for (const run of runs)
-    for (const one of run.left_out) {
+    for (const one of run.left_out.filter(({rule}) => rule !== "not asked for")) {
       const key = JSON.stringify(one);
       kept.set(key, [one, [...(kept.get(key)?.[1] ?? []), run.name]]);
     }
   const rows = [...kept.values()].map(([one, names]) => row(
-    [one.component, small(one.rule), several && small(names.length === runs.length ? "every run" : names.join(", "))],
-    html`<td>${one.evidence}</td><td>${one.saving_estimate}${
-      small(one.saving_measured && `measured: ${one.saving_measured}`)}</td><td>${one.proof}</td>`));
-  return rows.length > 0 && section("left-out", "Left out, and why",
-    "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, within a " +
-      "certified bound; S, the same within statistics.",
+    [one.component.replaceAll("_", " "), small(one.rule),
+      several && small(names.length === runs.length ? "every run" : names.join(", "))],
+    [one.evidence, one.saving_estimate, kProofs[one.proof]].map((text) => html`<td>${words(text)}</td>`)));
+  return rows.length > 0 && details(`Left out, because this scene does without: ${counted(rows.length, "part")}`,
     html`<div class="left-out">${
-      table("Left out", "Component", ["Found here", "Saving", "Proof"].map(text_head), rows)}</div>`);
+      table("Left out", "Part", ["Found here", "Saves", "Result"].map(text_head), rows, "")}</div>`);
 }
 function setup() {
   const parts = runs.flatMap((run) => {
@@ -325,10 +308,10 @@ function setup() {
                    .map(([key, value]) => row(key.replaceAll("_", " "), html`<td class="code">${value}</td>`));
     return [
       run.environment.length > 0 && details(["Environment", of_run(run)],
-        html`<div class="scroll"><table><tbody>${rows}</tbody></table></div>`),
+        html`<div class="scroll"><table style="--n:1"><tbody>${rows}</tbody></table></div>`),
       run.config && details(["Configuration", of_run(run)], html`<pre tabindex="0">${run.config}</pre>`)
     ];
-  }).filter((part) => part);
+  }).concat(left_out()).filter((part) => part);
   return parts.length > 0 &&
     section("setup", "Set-up", "What it takes to repeat the run.", html`<div class="panel">${parts}</div>`);
 }
@@ -338,50 +321,50 @@ function setup() {
 const has_labels = (run) => run.labels?.classes.length > 0;  // a scene without classes has none to report
 
 /** Each run is a point of its own: what else differs between runs is not known here, so no line joins them. */
-function label_plots(key_of_count, x_label) {
-  const counts = runs.filter(has_labels).map((run) => run.labels[key_of_count]), least = Math.min(...counts);
+function label_plots() {
+  const counts = runs.filter(has_labels).map((run) => run.labels.labelled_pixels), least = Math.min(...counts);
   const log_x = least > 0 && Math.max(...counts) >= 10 * least;
   return ["miou", "total_accuracy"].map((key) => {
-    const point = (run) => ({x: run.labels?.[key_of_count], y: last_value(run, key)});
+    const point = (run) => ({x: run.labels?.labelled_pixels, y: last_value(run, key)});
     const series = runs.map((run, color) => ({name: run.name, color, points: [point(run)]}))
                      .filter(({points: [{y}]}, i) => has_labels(runs[i]) && y !== null);
     const title = metric_of(key).label;
     return series.length > 0 && panel(title, log_x ? "logarithmic number of labels" : "higher is better",
-      plot({title, x_label, markers: true, log_x, series}));
+      plot({title, x_label: "labelled pixels in training", markers: true, log_x, series}));
   });
+}
+/** A value of training frames in each run; nothing where none has it. */
+function value_row(name, key, digits, some = runs) {
+  const values = some.map((run) => last_value(run, key, "train"));
+  return values.some((value) => value !== null) && row(name, values.map((value) => value_cell(value, digits)));
 }
 function labels() {
   const known = runs.filter(has_labels);
   if (known.length === 0) return "";
-  // The last two are of runs with report.training_frames: what the labels were worth, and what was made of them.
-  const columns = [
-    ["mIoU", "", split, "miou"], ["Total accuracy", "", split, "total_accuracy"],
-    ["mIoU of the labels", "against the scene’s own", "train", "given_miou"],
-    ["mIoU at their poses", "of the field", "train", "miou"]
-  ].filter(([, , of, key]) => runs.some((run) => run.labels && last_value(run, key, of) !== null));
-  const rows = known.map((run) => {
-    const of = run.labels, taught = of.classes.filter(({pixels}) => pixels > 0).length;
-    return row([run.name, small(of.degrade.map(({type}) => type).join(", "))], [
-      `${count(of.labelled_frames)} of ${count(of.train_frames)}`,
-      cell(count(of.labelled_pixels), `${percent(ratio(of.labelled_pixels, of.train_pixels))} of all`),
-      `${taught} of ${of.classes.length}`,
-      columns.map(([, , part, key]) => value_cell(last_value(run, key, part), 4))
-    ]);
-  });
+  const of_all = ({labels: of}) => `${percent(ratio(of.labelled_pixels, of.train_pixels))} of all`;
+  const rows = [
+    row("Labelled frames", known.map(({labels: of}) => `${count(of.labelled_frames)} of ${count(of.train_frames)}`)),
+    row("Labelled pixels", known.map((run) => cell(count(run.labels.labelled_pixels), of_all(run)))),
+    row("Classes with labels", known.map(({labels: {classes: all}}) =>
+      `${all.filter(({pixels}) => pixels > 0).length} of ${all.length}`)),
+    known.some(({labels: of}) => of.degrade.length > 0) &&
+      row("Made worse by", known.map(({labels: of}) => of.degrade.map(({type}) => type).join(", "))),
+    // Of runs with report.training_frames: what the labels were worth, and what was made of them.
+    value_row(["mIoU of the labels", small("against the scene’s own")], "given_miou", 4, known),
+    value_row(["mIoU at their poses", small("of the field")], "miou", 4, known)
+  ];
   const steps = runs.flatMap((run) => (run.labels?.degrade ?? []).map((step) => [run.name, step]));
   const told = steps.filter(([, {facts}]) => Object.keys(facts).length > 0).map(([name, {type, facts}]) =>
     hint(`${name}, ${type}: ${Object.entries(facts).map((one) => one.join(" ")).join(", ")}.`));
   const rounds = runs.flatMap((run) => run.rounds.map((text) => hint(`${run.name}, ${text}.`)));
-  const plots = known.length > 1 && ranked ? label_plots("labelled_pixels", "labelled pixels in training") : [];
-  const by_frames = () => label_plots("labelled_frames", "labelled frames in training");
+  const plots = known.length > 1 && ranked ? label_plots() : [];
   const [title, sentence] = known.length > 1 ?
     ["Error against number of labels",
       "One point for each run, at its last evaluation; runs may differ in more than their labels."] :
     ["Labels in training", "What the semantic head learned from."];
   return section("labels", title, sentence,
-    plots.some((one) => one) && [legend(), choice("label-frames", "count labelled frames", plots, by_frames())],
-    table("Labels of each run", "Run", ["Labelled frames", "Labelled pixels", "Classes with labels",
-      ...columns.map(([name, more]) => [name, more])], rows),
+    plots.some((one) => one) && [legend(), html`<div class="plots">${plots}</div>`],
+    by_run("Labels of each run", "", rows, known),
     told, rounds,
     missing("Left out, because their folders hold no labels.json (made by an older version):", (run) => !run.labels),
     missing("Left out, because their scenes have no classes:", (run) => run.labels && !has_labels(run)));
@@ -420,7 +403,8 @@ function confusions_of({classes: all, confusion: {pixels}}) {
   // Twice: those that cost most pixels are of large classes, those that hide a class of small ones.
   const list = (title, key) => html`<div><h4>${title}</h4><ul>${
     [...found].sort((a, b) => b[key] - a[key] || b.n - a.n).slice(0, kMostConfusions).map(read_as)}</ul></div>`;
-  const shown = all.map((_, i) => i).sort((a, b) => truth[b] + predicted[b] - truth[a] - predicted[a])
+  const seen = all.map((_, i) => i).filter((i) => truth[i] + predicted[i] > 0);
+  const shown = [...seen].sort((a, b) => truth[b] + predicted[b] - truth[a] - predicted[a])
                   .slice(0, kMostClasses).sort((a, b) => a - b);
   const one = (t, p) => {
     const n = pixels[t][p], share = ratio(n, truth[t]);
@@ -438,12 +422,12 @@ ${all[t].name}</th>${shown.map((p) => one(t, p))}${cell(count(truth[t]))}</tr>`)
     found.length === 0 ? html`<p class="hint">Every scored pixel has its class.</p>` :
       html`<div class="words">${list("Most pixels", "n")}${list("Largest share of a class", "share")}</div>`,
     html`<div class="scroll" tabindex="0" role="region" aria-label="Confusion matrix"><table
-class="cm"><thead><tr><th scope="col"
+class="cm" style="--n:${shown.length}"><thead><tr><th scope="col"
 class="row">truth ↓ read as →</th>${
       shown.map((p) => html`<th scope="col" title="${all[p].name}"><span class="v">${swatch(all[p].color)}${all[p].id}
 ${all[p].name}</span></th>`)}${head("pixels")}</tr></thead><tbody>${rows}</tbody></table></div>`,
-    shown.length < all.length &&
-      hint(`The ${shown.length} of ${all.length} classes with the most pixels; \`semfield eval --json\` prints all.`)
+    shown.length < seen.length &&
+      hint(`The ${shown.length} of ${seen.length} classes with the most pixels; \`semfield eval --json\` prints all.`)
   ];
 }
 function confusions() {
@@ -489,19 +473,17 @@ function reliability(run, color) {
 }
 /** Entropy at training poses by what the label was worth, of runs with report.training_frames. */
 function given_table() {
-  const columns = [
+  const rows = [
     ["Labelled rightly", "mean entropy, nats", "given_right_entropy"],
     ["Labelled wrongly", "mean entropy, nats", "given_wrong_entropy"],
     ["Unlabelled", "mean entropy, nats", "given_none_entropy"],
     ["Wrong against right", "AUROC of entropy", "given_wrong_auroc"],
     ["Unlabelled against labelled", "AUROC of entropy", "given_none_auroc"]
-  ];
-  const some = runs.filter((run) => columns.some(([, , key]) => last_value(run, key, "train") !== null));
-  return some.length > 0 && [
+  ].map(([name, more, key]) => value_row([name, small(more)], key, 3)).filter((one) => one);
+  return rows.length > 0 && [
     hint("Entropy of the pixels of training frames, by the label that they were given. An AUROC of 0.5 is chance; 1 " +
       "means that entropy separates the two groups."),
-    table("Entropy by the label given", "Run", columns.map(([name, more]) => [name, more]),
-      some.map((run) => row(run.name, columns.map(([, , key]) => value_cell(last_value(run, key, "train"), 3)))))
+    by_run("Entropy by the label given", "", rows)
   ];
 }
 function calibration() {
@@ -522,12 +504,14 @@ function worst() {
   const compared = (a, b) => (a < b ? -1 : a > b ? 1 : 0);
   const sorted = (all) =>
     [...all].sort((a, b) => compared(rank(a)[0], rank(b)[0]) || compared(rank(a)[1], rank(b)[1]));
-  const values = (frame) => [["miou_present", 4], ["psnr", 4], ["absrel", 3]]
-    .map(([key, digits]) => value_cell(get(frame, key), digits));
-  const tables = runs.filter((run) => run.eval?.per_frame.length > 0).map((run) =>
-    details([`Scores of all ${run.eval.per_frame.length} frames`, of_run(run)],
-      table("Scores of frames", "Frame", ["mIoU (present)", "PSNR, dB", "AbsRel"],
-        sorted(run.eval.per_frame).map((frame) => row(frame.frame, values(frame))), "")));
+  const tables = runs.filter((run) => run.eval?.per_frame.length > 0).map((run) => {
+    const all = sorted(run.eval.per_frame);
+    const known = ["miou_present", "psnr", "absrel"].map(metric_of)
+                    .filter(({key}) => all.some((frame) => get(frame, key) !== null));
+    return details([`Scores of all ${all.length} frames`, of_run(run)],
+      table("Scores of frames", "Frame", known.map(({label, unit}) => label + (unit && `, ${unit}`)),
+        all.map((frame) => row(frame.frame, known.map(({key, digits}) => value_cell(get(frame, key), digits)))), ""));
+  });
   return data.worst.length + tables.length > 0 && section("worst", "Worst frames",
     data.worst.length > 0 && `The frames with the lowest scores, worst first.${of_first}`, strips(data.worst),
     tables.length > 0 && html`<div class="panel below">${tables}</div>`);
@@ -535,12 +519,11 @@ function worst() {
 
 // ---- error against run time
 
-const kShares = [0.9, 0.95];
 const kCurves = [
-  {key: "loss", title: "Training loss", note: "logarithmic", trains: true, log_y: true, digits: 3},
-  {key: "psnr", title: "PSNR", note: "dB, higher is better", digits: 3},
-  {key: "miou_present", title: "mIoU (present)", note: "higher is better", digits: 3},
-  {key: "absrel", title: "Depth AbsRel", note: "logarithmic, lower is better", log_y: true, digits: 2}
+  {key: "loss", title: "Training loss", note: "logarithmic", trains: true, log_y: true},
+  {key: "psnr", title: "PSNR", note: "dB, higher is better"},
+  {key: "miou_present", title: "mIoU (present)", note: "higher is better"},
+  {key: "absrel", title: "Depth AbsRel", note: "logarithmic, lower is better", log_y: true}
 ];
 /** One for each term of the list `losses` too. */
 function all_curves() {
@@ -553,64 +536,31 @@ function all_curves() {
 const points_of = (run, {key, trains}) => (trains ? run.rows.filter(({kind}) => kind === "train") : curve_rows(run))
   .map((one) => ({x: get(one, "train_s"), y: get(one, key)})).filter(({y}) => Number.isFinite(y));
 
-/** The part of the split that every curve is of: "" for all of it; null where runs differ. */
-function common_part() {
-  const parts = new Set(runs.map((run) => curve_rows(run)[0]).filter((one) => one).map(sample_text));
-  return parts.size > 1 ? null : [...parts][0] ?? "";
+/** The score of the page, apart from the line where that is of another part of the split. */
+function end_of(run, {key, trains}) {
+  const last = last_row(run), line = curve_rows(run).at(-1);
+  return !trains && part_text(last) !== part_text(line) && get(last, key) !== null &&
+    {x: get(last, "train_s"), y: get(last, key)};
 }
-/** What the values at the lines' ends are of. */
+/** What lines and dots are of. */
 function parts_sentence() {
-  const common = common_part();
-  if (common === null) {
-    const part = (row) => (sample_text(row) ? `a sample, ${sample_text(row)}` : "all frames");
-    const of_each = runs.map((run) => [run.name, curve_rows(run)[0]]).filter(([, first]) => first);
-    return ` The curves are of different parts of the split: ${
-      of_each.map(([name, first]) => `${name}: ${part(first)}`).join("; ")}.`;
-  }
-  const last = last_row(runs[0]), differs = common && !several && last && sample_text(last) !== common;
-  return (common && ` Evaluations while training are of a sample: ${common}.`) +
-    (differs ? ` The figures above are of ${part_text(last)}, so they differ from the ends of the curves.` : "");
+  const parts = runs.map((run) => [run.name, part_text(curve_rows(run)[0])]).filter(([, part]) => part);
+  const [[, first] = []] = parts, differ = parts.some(([, part]) => part !== first);
+  return (differ ? ` Lines are of different parts of the split (${parts.map((one) => one.join(": ")).join("; ")}).` :
+    runs.some((run) => sample_text(curve_rows(run)[0])) ? ` Lines are of ${first}.` : "") +
+    (runs.some((run) => kCurves.some((curve) => end_of(run, curve))) ? " A large dot is the score in “Figures”." : "");
 }
 function curve_plots(unit, x_label, log_x) {
-  const part = common_part();
   return all_curves().map((curve) => {
     const series = runs.map((run, color) => {
-      const points = points_of(run, curve);
-      const time_to = (share) => time_to_share(points, metric_of(curve.key).better, share);
-      const marks = (curve.trains ? [] : kShares.map(time_to)).map((at, i) => at !== null && {
-        x: at / unit, diamond: i > 0, text: `${run.name}: ${percent(kShares[i])} of the way after ${duration(at)}`
-      }).filter((mark) => mark);
-      return {name: run.name, color, points: thinned(points, 240).map(({x, y}) => ({x: x / unit, y})), marks};
+      const points = thinned(points_of(run, curve), 240), end = end_of(run, curve);
+      return {name: run.name, color, points: points.map(({x, y}) => ({x: x / unit, y})),
+        end: end && {...end, x: end.x / unit}};
     });
-    if (series.every(({points}) => points.length === 0)) return "";
-    return panel(curve.title, curve.trains || !part ? curve.note : `${curve.note}; ${part}`,
-      plot({...curve, x_label, log_x, markers: !curve.trains, series}));
+    const digits = curve.trains ? 3 : metric_of(curve.key).digits;
+    return series.some(({points}) => points.length > 1) &&
+      panel(curve.title, curve.note, plot({...curve, digits, x_label, log_x, markers: !curve.trains, series}));
   });
-}
-function convergence() {
-  const curves = kCurves.filter((curve) => !curve.trains && runs.some((run) => points_of(run, curve).length > 0));
-  const cells_of = (run, curve) => {
-    const points = points_of(run, curve), {digits, better} = metric_of(curve.key);
-    const last = points.length === 0 ? value_cell(null) :
-                                       cell(figure(points.at(-1).y, digits), `from ${figure(points[0].y, digits)}`);
-    const times = kShares.map((share) => time_to_share(points, better, share));
-    return [last, times.map((at) => (at === null ? value_cell(null) : cell(duration(at))))];
-  };
-  const groups = curves.map(({key}) => html`<th scope="colgroup" colspan="3" class="grp">${metric_of(key).label}${
-    metric_of(key).unit && `, ${metric_of(key).unit}`}</th>`);
-  return curves.length > 0 && [
-    html`<h3>Time to the last value</h3><p class="hint">t90 and t95 are the training time at which a curve, read as
-straight
-lines between evaluations, first covers 90&#160;% and 95&#160;% of the way from its first to its last value; a later
-dip does not count. In the plots: ring and
-diamond. Every run is held against its own last value, so a run that ends low can be quick. A dash: fewer than two
-evaluations, or the last is no better
-than the first.</p>`,
-    scroll("Time to 90 % and 95 % of the last value",
-      html`<tr><th scope="col" rowspan="2">Run</th>${groups}</tr><tr>${
-        curves.map(() => ["last", "t90", "t95"].map((name) => head(name)))}</tr>`,
-      runs.map((run) => row(run.name, curves.map((curve) => cells_of(run, curve)))), "panel ")
-  ];
 }
 /** When each run first reached the level that the weakest ended at. */
 function common_level() {
@@ -634,23 +584,18 @@ function common_level() {
 run ended at
 or beyond. A run came there between that evaluation and the one before; “≤” says that there was none before. Bold:
 first for certain.</p>`,
-    table("Time to reach a level", "Level", run_heads(false), rows)
+    by_run("Time to reach a level", "Level", rows)
   ];
 }
 function curves() {
-  const longest = Math.max(...runs.map(trained_s));
+  const lengths = runs.map(trained_s), shortest = Math.min(...lengths), longest = Math.max(...lengths);
   const [unit, name] = longest <= 600 ? [1, "seconds"] : longest <= 3 * 3600 ? [60, "minutes"] : [3600, "hours"];
-  const x_label = `${name} of training`, plots = curve_plots(unit, x_label, false);
-  const times = runs.flatMap(({rows}) => rows.map((one) => get(one, "train_s"))).filter((t) => t > 0);
-  const first = times.reduce((a, b) => Math.min(a, b), Infinity);
-  const is_long = times.length > 0 && longest >= 10 * first;  // a logarithmic axis shows more
-  return plots.some((one) => one) && section("curves", "Error against run time",
+  const log_x = shortest > 0 && longest >= 10 * shortest;  // short runs are seen next to long ones
+  const plots = curve_plots(unit, `${name} of training${log_x ? ", logarithmic" : ""}`, log_x), levels = common_level();
+  return (levels || plots.some((one) => one)) && section("curves", "Error against run time",
     "Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value." +
       parts_sentence(),
-    legend(),
-    is_long ? choice("log-time", "logarithmic time", plots, curve_plots(unit, x_label, true)) :
-              html`<div class="plots">${plots}</div>`,
-    convergence(), common_level());
+    legend(), html`<div class="plots">${plots}</div>`, levels);
 }
 
 // ---- a sweep
@@ -671,7 +616,7 @@ function page() {
     ["figures", "Figures", figures()], ["curves", "Error against run time", curves()], ["labels", "Labels", labels()],
     ["classes", "Classes", classes()], ["confusion", "Confusions", confusions()],
     ["calibration", "Calibration", calibration()], ["worst", "Worst frames", worst()],
-    ["left-out", "Left out", left_out()], ["setup", "Set-up", setup()]
+    ["setup", "Set-up", setup()]
   ];
   const shown = parts.filter(([, , part]) => part);
   return html`<header class="top"><h1>${data.title}</h1>${runs.length > 0 && facts()}<nav aria-label="Sections">${
