@@ -318,8 +318,24 @@ std::vector<NextStep> next_of_look([[maybe_unused]] const std::string& run) {
 #endif
 }
 
-void print_findings(const AppContext& context, const Diagnostics& diagnostics) {
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+void print_findings(const AppContext& context, const Diagnostics& diagnostics, const std::string& config) {
+  const bool brief = context.terminal && !config.empty();
+  std::size_t shortened = 0;
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    const bool note = finding.severity == Severity::note;
+    if (!brief) {
+      print_note(context, finding.shown());
+    } else if (!note) {
+      const std::string where = finding.where.substr(0, finding.where.find(" ("));
+      const std::string what = finding.message.substr(0, finding.message.find_first_of(":;("));
+      print_note(context, fmt::format("{}: {}{}{} [{}]", severity_word(finding.severity), where,
+                                      where.empty() ? "" : ": ", what, finding.code.text()));
+    }
+    shortened += brief && !note ? 1 : 0;
+  }
+  if (shortened > 0)
+    print_note(context, fmt::format("{} finding{} in full: `semfield inspect {}`", shortened, shortened == 1 ? "" : "s",
+                                    config));
 }
 
 OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context) {

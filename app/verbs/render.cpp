@@ -502,7 +502,8 @@ int run(const RenderOptions& options, AppContext& context) {
 
 Verb verb_render() {
   return make_verb<RenderOptions>("render", 30, "render colour, label, depth and entropy images from a run's field",
-                                  run, Launch::ranks);
+                                  {"runs/my_photos --split test", "runs/my_photos --trajectory smooth --video"}, run,
+                                  Launch::ranks);
 }
 
 }  // namespace semfield::app
