@@ -253,7 +253,7 @@ std::string video_format(const std::string& path) {
     known += (known.empty() ? "" : ", ") + std::string(name);
   }
   throw Error(ErrorKind::usage, "render.video.format",
-              path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is not the ending of a video file"),
+              path + (ending.empty() ? ": no extension" : ": '" + ending + "' is no extension of a video file"),
               "name a file such as room.mp4; known: " + known);
 }
 

@@ -68,7 +68,7 @@ struct MeshOptions : Options {
   const std::optional<double>& level =
       positive("--level X", "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
   const std::vector<std::string>& formats =
-      list("--format LIST", "forms of the files, with commas (default: what --out ends with, or ply)", known_formats());
+      list("--format LIST", "file formats, with commas (default: the extension of --out, or ply)", known_formats());
   const std::string& color =
       choice("--color WHICH", "", {"photo", "class", "both"},
              "colours as rendered, or of the class table, in files that end in _classes (default: both)");

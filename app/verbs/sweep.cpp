@@ -463,10 +463,9 @@ int run(const TuneOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_tune() {
-  return make_verb<TuneOptions>(
-      "tune", 45, "find the settings that a scene's own held-out views ask for",
-      {"configs/my_photos.yaml --time 2m", "configs/my_photos.yaml --for depth --dry-run"}, run,
-      Launch::beside);
+  return make_verb<TuneOptions>("tune", 45, "find the settings that a scene's own held-out views ask for",
+                                {"configs/my_photos.yaml --time 2m", "configs/my_photos.yaml --for depth --dry-run"},
+                                run, Launch::beside);
 }
 
 // demo: the verbs that make a labelled scene, one after the other, on the shipped room.

@@ -118,7 +118,7 @@ std::vector<LinePart> progress_parts(const TrainProgress& p) {
   std::vector<LinePart> parts{{0, fmt::format("step {}{}", p.step, p.steps > 0 ? fmt::format("/{}", p.steps) : "")},
                               {2, fmt::format("  loss {:.4f}", p.loss)}};
   for (const auto& [type, value] : p.terms) parts.push_back({7, fmt::format("  {} {:.4f}", type, value)});
-  parts.push_back({3, fmt::format("  train psnr {:.2f}", p.psnr)});
+  parts.push_back({3, fmt::format("  train psnr {:.2f} dB", p.psnr)});
   if (p.miou_present) {
     parts.push_back({4, fmt::format("  miou_present {:.3f}", *p.miou_present)});
     parts.push_back({8, fmt::format(" ({})", p.scored.text())});

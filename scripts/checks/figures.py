@@ -68,10 +68,12 @@ def on_terminal(words, folder):
 
 def terminal(program, folder):
     """The demo and what it advises, as a person would type it, on a terminal."""
-    begin = time.monotonic()
+    begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
     lines = on_terminal([program, "demo"], folder)
-    figures, load = {"demo_s": time.monotonic() - begin}, os.getloadavg()[0]
-    common.say(f"the load was {load:.1f} at the end; " + " ".join(" ".join(lines).split("demo: ")[-1].split()))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    figures = {"demo_s": time.monotonic() - begin,
+               "demo_cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime}
+    common.say(f"load {os.getloadavg()[0]:.1f} at the end; " + " ".join(" ".join(lines).split("demo: ")[-1].split()))
     figures["demo_size"] = re.search(r"render: \S+ size=(\S+)", " ".join(lines))[1]
     common.check((folder / "runs/demo/first_look.png").exists(), "the demo has no first picture")
     advised = [line.split("   # ")[0].strip() for line in lines[lines.index("next"):] if str(program) in line]

@@ -86,7 +86,8 @@ TEST(Notes, BreakBetweenWordsAndNeverInACommand) {
   EXPECT_EQ(wrapped("unbreakable/path/to/a/file is\n  indented", 8), "unbreakable/path/to/a/file\nis\n  indented");
   EXPECT_EQ(wrapped("a ` alone is no command", 9), "a ` alone\nis no\ncommand");
   EXPECT_EQ(wrapped("", 5), "");
-  EXPECT_EQ(wrapped("depth   a b c d\neval: a=1 b=2\n", 11, true), "depth   a b\n        c d\neval: a=1\n  b=2\n");
+  EXPECT_EQ(wrapped("depth   a b c d e f\neval: a=1 b=2 c=3\n", 16, true),
+            "depth   a b c d\n        e f\neval: a=1 b=2\n  c=3\n");
 }
 
 TEST(Notes, ColoursMarkWhatIsWrongAndWhatIsTyped) {
