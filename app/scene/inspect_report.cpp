@@ -72,7 +72,8 @@ std::string class_table(const LoadedScene& scene) {
   std::string out = fmt::format(
       "classes     {} in the table; labelled frames: {} train, {} test; shares are of all pixels of labelled frames\n",
       classes.valid_count(), train.labelled, test.labelled);
-  out += fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {}\n", "id", "class", "train", "test", "train frames that see it");
+  constexpr const char* kRow = "  {:>5}  {:<20} {:>9} {:>9}  {}{}\n";
+  out += fmt::format(fmt::runtime(kRow), "id", "class", "train", "test", "train frames", "");
   int unseen = 0;
   for (int c = 0; c <= classes.valid_count(); ++c) {
     const auto i = static_cast<std::size_t>(c);
@@ -83,10 +84,9 @@ std::string class_table(const LoadedScene& scene) {
     }
     const std::string id = is_void ? "-" : std::to_string(classes.valid(c).id);
     const std::string name = is_void ? "(void)" : classes.valid(c).name;
-    out +=
-        fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {} of {}{}\n", id, name, share_text(train.pixels[i], train.total),
-                    share_text(test.pixels[i], test.total), train.frames[i], train.labelled,
-                    !is_void && train.pixels[i] == 0 ? "  <- in no training label: it cannot be learned" : "");
+    out += fmt::format(fmt::runtime(kRow), id, name, share_text(train.pixels[i], train.total),
+                       share_text(test.pixels[i], test.total), fmt::format("{} of {}", train.frames[i], train.labelled),
+                       !is_void && train.pixels[i] == 0 ? "  cannot be learned" : "");
   }
   if (unseen > 0) out += fmt::format("  {} classes of the table occur in no label\n", unseen);
   return out;

@@ -604,7 +604,7 @@ int run(const DemoOptions& options, AppContext& context) {
     leave_next_out_of_children(true);
     const ChildEnd end = run_child(words);
     leave_next_out_of_children(false);
-    if (!context.quiet) std::fputs(end.out.c_str(), stderr);
+    print_note(context, end.out.substr(0, end.out.find_last_not_of('\n') + 1));
     if (end.code != 0) return end.code;
     if (figures.empty()) figures = context.json ? end.out : figures_of(end.out);
   }
@@ -623,14 +623,10 @@ int run(const DemoOptions& options, AppContext& context) {
   next.push_back({"train --resume " + folder + " --time 5m", "sharper, in five minutes more"});
   next.push_back({"help init", "for photographs of your own; docs/guide/own_data.md says more"});
   print_next(context, next, program);
-  if (context.json) {
-    Json found = Json::parse(figures);  // by `train`
-    found.erase("semfield");
-    found.erase("verb");
-    print_json(context, found);
-    return 0;
-  }
-  std::printf("demo: %s\n", figures.c_str());
+  Json found = context.json ? Json::parse(figures) : Json();  // by `train`
+  found.erase("semfield");
+  found.erase("verb");
+  print_results(context, found, "demo: " + figures);
   return 0;
 }
 
