@@ -96,6 +96,9 @@ std::string wrapped(const std::string& text, int columns, bool hanging) {
     std::size_t end = word;
     for (bool command = false; end < text.size() && text[end] != '\n' && (command || text[end] != ' '); ++end)
       if (text[end] == '`') command = !command && text.find('`', end + 1) != std::string::npos;
+    if (const std::size_t most = static_cast<std::size_t>(columns) - hang; end - word > most && text[word] != '`')
+      if (const std::size_t comma = text.rfind(',', word + most - 1); comma != text.npos && comma > word)
+        end = comma + 1;
     const int blanks = static_cast<int>(word - begin),
               width = width_of(std::string_view(text).substr(word, end - word));
     if (used > 0 && used + blanks + width > columns) {

@@ -19,9 +19,10 @@ struct LinePart {
 
 /// The parts that fit into `columns`; of the last one what fits.
 std::string fitted(std::vector<LinePart> parts, int columns);
-/// `text` with line ends in the place of blanks, so that no line is longer than `columns` where words permit. What
-/// stands between backticks is a command that people copy, and stays whole. `hanging`: where a line has a column of
-/// names, or only one word in front of its figures, what is broken off stands below what follows on the name.
+/// `text` with line ends in the place of blanks, so that no line is longer than `columns` where words, and lists with
+/// commas, permit. What stands between backticks is a command that people copy, and stays whole. `hanging`: where a
+/// line has a column of names, or only one word in front of its figures, what is broken off stands below what follows
+/// on the name.
 std::string wrapped(const std::string& text, int columns, bool hanging = false);
 /// `text` in colours: "warning" and "error" at the start of a line, commands between backticks or behind "$ ", and
 /// faint, codes of findings and comments.

@@ -623,7 +623,7 @@ int run(const DemoOptions& options, AppContext& context) {
   next.push_back({"train --resume " + folder + " --time 5m", "sharper, in five minutes more"});
   next.push_back({"help init", "for photographs of your own; docs/guide/own_data.md says more"});
   print_next(context, next, program);
-  Json found = context.json ? Json::parse(figures) : Json();  // by `train`
+  Json found = context.json ? Json::parse(figures) : Json::object();  // by `train`
   found.erase("semfield");
   found.erase("verb");
   print_results(context, found, "demo: " + figures);

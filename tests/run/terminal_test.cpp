@@ -86,6 +86,7 @@ TEST(Notes, BreakBetweenWordsAndNeverInACommand) {
   EXPECT_EQ(wrapped("unbreakable/path/to/a/file is\n  indented", 8), "unbreakable/path/to/a/file\nis\n  indented");
   EXPECT_EQ(wrapped("a ` alone is no command", 9), "a ` alone\nis no\ncommand");
   EXPECT_EQ(wrapped("", 5), "");
+  EXPECT_EQ(wrapped("f=aaa,bbb,ccc", 9), "f=aaa,\nbbb,ccc");
   EXPECT_EQ(wrapped("depth   a b c d e f\neval: a=1 b=2 c=3\n", 16, true),
             "depth   a b c d\n        e f\neval: a=1 b=2\n  c=3\n");
 }
