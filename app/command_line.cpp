@@ -386,7 +386,11 @@ struct Program {
     std::string above;
     for (const CLI::App* at = of.get_parent(); at != nullptr; at = at->get_parent())
       above = at->get_name() + (above.empty() ? "" : " " + above);
-    return of.help(above);
+    std::string examples;
+    if (const auto verb = verbs.find(&of); verb != verbs.end())
+      for (const std::string words : verb->second.verb.examples)
+        examples += "  " + program_name() + " " + verb->second.verb.name + (words.empty() ? "" : " " + words) + "\n";
+    return examples + (examples.empty() ? "" : "\n") + of.help(above);
   }
 };
 
@@ -698,7 +702,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   try {
     program.app.parse(words);
   } catch (const CLI::CallForHelp&) {
-    std::fputs(program.app.help().c_str(), stdout);
+    std::fputs(program.help(given_verb(program.app)).c_str(), stdout);
     return 0;
   } catch (const CLI::CallForAllHelp&) {
     const std::string all =

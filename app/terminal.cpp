@@ -12,6 +12,7 @@
 #include <cstdlib>
 #include <memory>
 #include <mutex>
+#include <regex>
 #include <string_view>
 #include <system_error>
 
@@ -75,21 +76,34 @@ std::string fitted(std::vector<LinePart> parts, int columns) {
   return width_of(line) > columns ? cut(line, columns) : line;
 }
 
-std::string wrapped(const std::string& text, int columns) {
+std::string wrapped(const std::string& text, int columns, bool hanging) {
+  constexpr std::size_t kIndent = 2;
   std::string out;
   int used = 0;
+  std::size_t hang = 0;
   for (std::size_t begin = 0; begin < text.size();) {
+    if (hanging && (begin == 0 || text[begin - 1] == '\n')) {
+      const std::size_t line_end = std::min(text.find('\n', begin), text.size());
+      const std::size_t name = text.find_first_not_of(' ', begin), gap = text.find("  ", name);
+      const std::size_t value = text.find_first_not_of(' ', gap);
+      hang = gap < line_end && value < line_end ? static_cast<std::size_t>(width_of(text.substr(begin, value - begin)))
+                                                : kIndent;
+      if (hang > static_cast<std::size_t>(columns) / 2) hang = kIndent;
+    }
     // A word, with the blanks before it: up to a blank that no command holds.
     std::size_t word = begin;
     while (word < text.size() && text[word] == ' ') ++word;
     std::size_t end = word;
     for (bool command = false; end < text.size() && text[end] != '\n' && (command || text[end] != ' '); ++end)
       if (text[end] == '`') command = !command && text.find('`', end + 1) != std::string::npos;
+    if (const std::size_t most = static_cast<std::size_t>(columns) - hang; end - word > most && text[word] != '`')
+      if (const std::size_t comma = text.rfind(',', word + most - 1); comma != text.npos && comma > word)
+        end = comma + 1;
     const int blanks = static_cast<int>(word - begin),
               width = width_of(std::string_view(text).substr(word, end - word));
     if (used > 0 && used + blanks + width > columns) {
-      out += '\n';
-      used = 0;
+      out += '\n' + std::string(hang, ' ');
+      used = static_cast<int>(hang);
     } else {
       out.append(text, begin, word - begin);
       used += blanks;
@@ -104,6 +118,23 @@ std::string wrapped(const std::string& text, int columns) {
     begin = end;
   }
   return out;
+}
+
+std::string painted(std::string text) {
+  static const std::pair<std::regex, const char*> kRules[] = {
+      {std::regex("(^|\n)(error|semfield: )"), "$1\033[1;31m$2\033[0m"},
+      {std::regex("(^|\n)(warning)"), "$1\033[1;33m$2\033[0m"},
+      {std::regex("(^|\n)(next|\\$ [^\n]*)"), "$1\033[1m$2\033[0m"},
+      {std::regex("`[^`\n]*`"), "\033[1m$&\033[0m"},
+      {std::regex("# [^\n]*|\\[[a-z0-9_]+(\\.[a-z0-9_]+)+\\]"), "\033[2m$&\033[0m"}};
+  for (const auto& [what, shown] : kRules) text = std::regex_replace(text, what, shown);
+  return text;
+}
+
+bool has_colors(int stream) {
+  const char *const refused = std::getenv("NO_COLOR"), *const kind = std::getenv("TERM");
+  return isatty(stream) != 0 && (refused == nullptr || *refused == '\0') && kind != nullptr &&
+         std::string_view(kind) != "dumb";
 }
 
 int terminal_columns() {
@@ -130,7 +161,8 @@ void clear_live() {
 void say(const std::string& text, bool terminal) {
   const std::lock_guard lock(g_stderr);
   clear_held();
-  std::fprintf(stderr, "%s\n", (terminal ? wrapped(text, terminal_columns()) : text).c_str());
+  const std::string shown = terminal ? wrapped(text, terminal_columns()) : text;
+  std::fprintf(stderr, "%s\n", (terminal && has_colors(STDERR_FILENO) ? painted(shown) : shown).c_str());
   std::fflush(stderr);
 }
 
@@ -215,22 +247,33 @@ void show_load_progress(AppContext& context) {
   context.work.load_progress = &context.load_progress;
 }
 
-void print_next(const AppContext& context, const std::vector<NextStep>& steps) {
+void print_next(const AppContext& context, const std::vector<NextStep>& steps, const std::string& program) {
   if (context.quiet || context.json || steps.empty() || std::getenv(kLeftOut) != nullptr) return;
   std::string modules;  // a run that was trained with them is read with them
   for (const std::string& module : context.registry.module_files()) modules += " --plugin " + shell_word(module);
-  std::size_t longest = 0;
-  for (const NextStep& step : steps) longest = std::max(longest, step.words.size());
-  std::string text;
+  std::size_t longest = 0, explained = 0;
   for (const NextStep& step : steps) {
-    text += (text.empty() ? "next        semfield " : "\n            semfield ") + step.words + modules;
-    text += std::string(longest - step.words.size() + 3, ' ') + "# " + step.what;
+    longest = std::max(longest, step.words.size());
+    explained = std::max(explained, step.what.size());
+  }
+  constexpr const char *kName = "next        ", *kGap = "   # ";
+  const std::size_t longest_line = std::string_view(kName).size() + program.size() + 1 + longest + modules.size() +
+                                   std::string_view(kGap).size() + explained;
+  const bool narrow = context.terminal && longest_line > static_cast<std::size_t>(terminal_columns());
+  std::string text = narrow ? "next" : kName;
+  for (const NextStep& step : steps) {
+    if (narrow) {
+      text += "\n  # " + step.what + "\n  " + program + " " + step.words + modules;
+    } else {
+      text += (&step == &steps.front() ? "" : "\n" + std::string(std::string_view(kName).size(), ' ')) + program + " " +
+              step.words + modules + std::string(longest - step.words.size(), ' ') + kGap + step.what;
+    }
   }
   std::fflush(stdout);  // results come first
-  say(text, false);
+  say(has_colors(STDERR_FILENO) ? painted(text) : text, false);
 }
 
-void leave_next_out_of_children() { setenv(kLeftOut, "1", 1); }
+void leave_next_out_of_children(bool left_out) { left_out ? setenv(kLeftOut, "1", 1) : unsetenv(kLeftOut); }
 
 void print_note(const AppContext& context, const std::string& text) {
   if (!context.quiet) say(text, context.terminal);
@@ -259,7 +302,9 @@ void print_json(const AppContext& context, const Json& results) {
 
 void print_results(const AppContext& context, const Json& results, const std::string& text) {
   if (context.json) return print_json(context, results);
-  std::fputs(text.c_str(), stdout);
+  std::string shown = isatty(STDOUT_FILENO) != 0 ? wrapped(text, terminal_columns(), true) : text;
+  if (has_colors(STDOUT_FILENO)) shown = painted(shown);
+  std::fputs(shown.c_str(), stdout);
   if (!text.empty() && !text.ends_with('\n')) std::fputc('\n', stdout);
   std::fflush(stdout);
 }

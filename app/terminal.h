@@ -19,16 +19,23 @@ struct LinePart {
 
 /// The parts that fit into `columns`; of the last one what fits.
 std::string fitted(std::vector<LinePart> parts, int columns);
-/// `text` with line ends in the place of blanks, so that no line is longer than `columns` where words permit. What
-/// stands between backticks is a command that people copy, and stays whole.
-std::string wrapped(const std::string& text, int columns);
+/// `text` with line ends in the place of blanks, so that no line is longer than `columns` where words, and lists with
+/// commas, permit. What stands between backticks is a command that people copy, and stays whole. `hanging`: where a
+/// line has a column of names, or only one word in front of its figures, what is broken off stands below what follows
+/// on the name.
+std::string wrapped(const std::string& text, int columns, bool hanging = false);
+/// `text` in colours: "warning" and "error" at the start of a line, commands between backticks or behind "$ ", and
+/// faint, codes of findings and comments.
+std::string painted(std::string text);
+/// Whether a stream shows them: it is a terminal with colours, and NO_COLOR is not set.
+bool has_colors(int stream);
 
 /// Of stderr, or what COLUMNS says; 80 where nothing is known.
 int terminal_columns();
 /// Puts a line, which is shorter than the terminal is wide, in the place of the live one.
 void show_live(const std::string& line);
 void clear_live();
-/// A text of lines on stderr: the live line is cleared before it, and on a terminal it is wrapped.
+/// A text of lines on stderr: the live line is cleared before it, and on a terminal it is wrapped and in colours.
 void say(const std::string& text, bool terminal);
 
 // A line that says how far long work is: overwritten on a terminal, every two seconds a new one elsewhere.
@@ -76,11 +83,11 @@ struct NextStep {
   std::string what;   ///< what it does, for people
 };
 
-/// On stderr, a line each, which no terminal's width breaks: they are copied. Nothing for --quiet, --json, and for
-/// verbs that `semfield demo` runs.
-void print_next(const AppContext& context, const std::vector<NextStep>& steps);
+/// On stderr, a line each, or two where a terminal is narrow. Nothing for --quiet, --json, and for verbs that `semfield
+/// demo` runs.
+void print_next(const AppContext& context, const std::vector<NextStep>& steps, const std::string& program = "semfield");
 
-/// For verbs that start others, which say what is next themselves.
-void leave_next_out_of_children();
+/// For verbs that start others and say what is next themselves: print_next() of a child says nothing.
+void leave_next_out_of_children(bool left_out);
 
 }  // namespace semfield::app

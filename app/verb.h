@@ -1,6 +1,7 @@
 // How a file of verbs/ makes verbs: it defines `Verb verb_NAME()` for each, which the build finds.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -128,6 +129,7 @@ struct Verb {
   std::string name;  ///< "train"; "config check" is the verb `check` of the group `config`
   int rank = 0;      ///< the help lists verbs in this order, those of a group among themselves
   std::string sentence;
+  std::array<const char*, 2> examples;             ///< words behind its name, which run as they stand
   std::function<Run(const Declaration&)> declare;  ///< what runs when the words are read; empty: a group
   Launch launch = Launch::alone;
   bool json = true;  ///< takes --json, and then prints its results by print_json() (app/app_context.h)
@@ -135,9 +137,12 @@ struct Verb {
 
 /// `run` gets the words that Words declares, and returns the exit code.
 template <class Words>
-Verb make_verb(std::string name, int rank, std::string sentence, int (*run)(const Words&, AppContext&),
-               Launch launch = Launch::alone) {
-  return {std::move(name), rank, std::move(sentence),
+Verb make_verb(std::string name, int rank, std::string sentence, std::array<const char*, 2> examples,
+               int (*run)(const Words&, AppContext&), Launch launch = Launch::alone) {
+  return {std::move(name),
+          rank,
+          std::move(sentence),
+          examples,
           [run](const Declaration& at) -> Verb::Run {
             return [words = std::make_shared<Words>(at), run](AppContext& context) { return run(*words, context); };
           },
@@ -150,7 +155,7 @@ inline Verb without_json(Verb verb) {
 }
 
 inline Verb make_group(std::string name, int rank, std::string sentence) {
-  return {std::move(name), rank, std::move(sentence), {}};
+  return {std::move(name), rank, std::move(sentence), {}, {}};
 }
 
 /// Names of a setting's choices, by value.

@@ -72,7 +72,8 @@ std::string class_table(const LoadedScene& scene) {
   std::string out = fmt::format(
       "classes     {} in the table; labelled frames: {} train, {} test; shares are of all pixels of labelled frames\n",
       classes.valid_count(), train.labelled, test.labelled);
-  out += fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {}\n", "id", "class", "train", "test", "train frames that see it");
+  constexpr const char* kRow = "  {:>5}  {:<20} {:>9} {:>9}  {}{}\n";
+  out += fmt::format(fmt::runtime(kRow), "id", "class", "train", "test", "train frames", "");
   int unseen = 0;
   for (int c = 0; c <= classes.valid_count(); ++c) {
     const auto i = static_cast<std::size_t>(c);
@@ -83,10 +84,9 @@ std::string class_table(const LoadedScene& scene) {
     }
     const std::string id = is_void ? "-" : std::to_string(classes.valid(c).id);
     const std::string name = is_void ? "(void)" : classes.valid(c).name;
-    out +=
-        fmt::format("  {:>5}  {:<28} {:>10} {:>10}  {} of {}{}\n", id, name, share_text(train.pixels[i], train.total),
-                    share_text(test.pixels[i], test.total), train.frames[i], train.labelled,
-                    !is_void && train.pixels[i] == 0 ? "  <- in no training label: it cannot be learned" : "");
+    out += fmt::format(fmt::runtime(kRow), id, name, share_text(train.pixels[i], train.total),
+                       share_text(test.pixels[i], test.total), fmt::format("{} of {}", train.frames[i], train.labelled),
+                       !is_void && train.pixels[i] == 0 ? "  cannot be learned" : "");
   }
   if (unseen > 0) out += fmt::format("  {} classes of the table occur in no label\n", unseen);
   return out;
@@ -318,8 +318,24 @@ std::vector<NextStep> next_of_look([[maybe_unused]] const std::string& run) {
 #endif
 }
 
-void print_findings(const AppContext& context, const Diagnostics& diagnostics) {
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+void print_findings(const AppContext& context, const Diagnostics& diagnostics, const std::string& config) {
+  const bool brief = context.terminal && !config.empty();
+  std::size_t shortened = 0;
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    const bool note = finding.severity == Severity::note;
+    if (!brief) {
+      print_note(context, finding.shown());
+    } else if (!note) {
+      const std::string where = finding.where.substr(0, finding.where.find(" ("));
+      const std::string what = finding.message.substr(0, finding.message.find_first_of(":;("));
+      print_note(context, fmt::format("{}: {}{}{} [{}]", severity_word(finding.severity), where,
+                                      where.empty() ? "" : ": ", what, finding.code.text()));
+    }
+    shortened += brief && !note ? 1 : 0;
+  }
+  if (shortened > 0)
+    print_note(context, fmt::format("{} finding{} in full: `semfield inspect {}`", shortened, shortened == 1 ? "" : "s",
+                                    config));
 }
 
 OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context) {

@@ -49,8 +49,9 @@ std::vector<NextStep> next_of_look(const std::string& run);
 
 // A run opened for a verb: it works under its limits from here on.
 
-/// What was found, as notes.
-void print_findings(const AppContext& context, const Diagnostics& diagnostics);
+/// What was found, as notes. With a configuration, as a shell reads it, a terminal gets only what is wrong, in a line
+/// or two: `inspect` says the rest.
+void print_findings(const AppContext& context, const Diagnostics& diagnostics, const std::string& config = {});
 
 /// As open_run (train/opened_run.h), by all processes of the launcher; findings are printed.
 OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context);

@@ -275,15 +275,16 @@ Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their 
 
 Verb verb_plugins_check() {
   return make_verb<CheckOptions>("plugins check", 50, "check the plugins of a file against the laws of their kinds",
-                                 run);
+                                 {"build/my_plugin.so", "build/my_plugin.so --settings conformance.txt"}, run);
 }
 
 Verb verb_plugins_list() {
-  return make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", run);
+  return make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", {"", "--devices"}, run);
 }
 
 Verb verb_plugins_show() {
-  return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", run);
+  return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin",
+                                {"hash_grid", "occupancy_grid --json"}, run);
 }
 
 // config: a configuration read as a run would, explained and compared.
@@ -360,15 +361,19 @@ int explain(const ConfigWords& options, AppContext& context) {
 Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
 
 Verb verb_config_check() {
-  return make_verb<ConfigWords>("config check", 10, "read a configuration and report every error", check);
+  return make_verb<ConfigWords>("config check", 10, "read a configuration and report every error",
+                                {"configs/my_photos.yaml", "configs/my_photos.yaml --set train.rays=2048"}, check);
 }
 
 Verb verb_config_diff() {
-  return make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", run);
+  return make_verb<DiffOptions>(
+      "config diff", 30, "print what differs between two configurations",
+      {"configs/my_photos.yaml runs/my_photos/run.yaml", "runs/my_photos/run.yaml runs/my_clicks/run.yaml"}, run);
 }
 
 Verb verb_config_explain() {
-  return make_verb<ConfigWords>("config explain", 20, "print the final tree, with the origin of every value", explain);
+  return make_verb<ConfigWords>("config explain", 20, "print the final tree, with the origin of every value",
+                                {"configs/my_photos.yaml", "configs/my_photos.yaml --json"}, explain);
 }
 
 // help: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.
@@ -451,7 +456,9 @@ int run(const HelpOptions& options, AppContext& context) {
 
 }  // namespace
 
-Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", run)); }
+Verb verb_help() {
+  return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", {"train", "config check"}, run));
+}
 
 // bench numerics: the stiff and extreme cases as a table or a JSON object.
 
@@ -550,7 +557,7 @@ int run(const NumericsOptions& options, AppContext& context) {
 
 Verb verb_bench_numerics() {
   return make_verb<NumericsOptions>("bench numerics", 10, "check stiff and extreme cases against their references",
-                                    run);
+                                    {"--only A", "--only C03"}, run);
 }
 
 // bench: whole training steps, timed by a library of its own.
@@ -572,13 +579,13 @@ Verb verb_bench() {
 
 Verb verb_bench_gpu() {
   return make_verb<BenchOptions>(
-      "bench gpu", 20, "time training steps and frames on a GPU",
+      "bench gpu", 20, "time training steps and frames on a GPU", {"", "--only room"},
       [](const BenchOptions& options, AppContext& context) { return run_bench("cuda", options, context); });
 }
 
 Verb verb_bench_step() {
   return make_verb<BenchOptions>(
-      "bench step", 30, "time whole training steps on the CPU",
+      "bench step", 30, "time whole training steps on the CPU", {"--size tiny", "--size tiny --only paper"},
       [](const BenchOptions& options, AppContext& context) { return run_bench("cpu", options, context); });
 }
 

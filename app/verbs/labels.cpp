@@ -284,12 +284,14 @@ Verb verb_labels() { return make_group("labels", 100, "write labels: degraded, c
 
 Verb verb_labels_fuse() {
   return make_verb<FuseOptions>("labels fuse", 20, "combine predictions of several views by depth, and score them",
+                                {"configs/my_photos.yaml", "configs/my_photos.yaml --method bayesian --out fused"},
                                 run);
 }
 
 Verb verb_labels_propagate() {
   return make_verb<PropagateOptions>("labels propagate", 30,
-                                     "spread training labels over the surface that a run has learned", run);
+                                     "spread training labels over the surface that a run has learned",
+                                     {"runs/my_photos --out spread", "runs/my_photos --method vote --out voted"}, run);
 }
 
 // export: label maps of a run's field for labelling tools.
@@ -442,6 +444,7 @@ int run(const ExportVerbOptions& options, AppContext& context) {
 
 Verb verb_labels_export() {
   return make_verb<ExportVerbOptions>("labels export", 40, "write the labels of a run's field for labelling tools",
+                                      {"runs/my_photos --out labels.json", "runs/my_photos --format png --out labels"},
                                       run);
 }
 
@@ -519,7 +522,7 @@ int run(const ClassesOptions& options, AppContext& context) {
 
 Verb verb_labels_classes() {
   return make_verb<ClassesOptions>("labels classes", 50, "convert class tables from and to the formats of other tools",
-                                   run);
+                                   {"nyu13", "nyu40 --format csv --out classes.csv"}, run);
 }
 
 }  // namespace semfield::app

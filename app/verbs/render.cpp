@@ -253,7 +253,7 @@ std::string video_format(const std::string& path) {
     known += (known.empty() ? "" : ", ") + std::string(name);
   }
   throw Error(ErrorKind::usage, "render.video.format",
-              path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is not the ending of a video file"),
+              path + (ending.empty() ? ": no extension" : ": '" + ending + "' is no extension of a video file"),
               "name a file such as room.mp4; known: " + known);
 }
 
@@ -503,7 +503,8 @@ int run(const RenderOptions& options, AppContext& context) {
 
 Verb verb_render() {
   return make_verb<RenderOptions>("render", 30, "render colour, label, depth and entropy images from a run's field",
-                                  run, Launch::ranks);
+                                  {"runs/my_photos --split test", "runs/my_photos --trajectory smooth --video"}, run,
+                                  Launch::ranks);
 }
 
 }  // namespace semfield::app

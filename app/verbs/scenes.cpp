@@ -267,12 +267,13 @@ int run(const InspectOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_init() {
-  return make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it", run);
+  return make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it",
+                                {"data/my_photos", "data/my_photos --out configs/second.yaml"}, run);
 }
 
 Verb verb_inspect() {
   return make_verb<InspectOptions>("inspect", 70, "print what a scene contains, and every problem with its remedy",
-                                   run);
+                                   {"configs/my_photos.yaml", "data/my_photos"}, run);
 }
 
 // prepare: a scene out of a video or of photographs.
@@ -467,8 +468,9 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_prepare() {
-  return make_verb<PrepareVerbOptions>("prepare", 7,
-                                       "make a scene from a video or photographs, or fix the cameras of a scene", run);
+  return make_verb<PrepareVerbOptions>(
+      "prepare", 7, "make a scene from a video or photographs, or fix the cameras of a scene",
+      {"walk.mp4 --out data/my_photos", "data/my_photos --out data/my_photos_fixed"}, run);
 }
 
 // pack, labels degrade: a scene as one file or in Replica layout, and its training labels as images.
@@ -549,12 +551,16 @@ int degrade(const DegradeOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_pack() {
-  return make_verb<PackVerbOptions>("pack", 90, "write a scene as one file, or its frames in Replica layout", pack);
+  return make_verb<PackVerbOptions>(
+      "pack", 90, "write a scene as one file, or its frames in Replica layout",
+      {"configs/my_photos.yaml --out my_photos.sfpack", "configs/my_photos.yaml --format replica --out replica"}, pack);
 }
 
 Verb verb_labels_degrade() {
-  return make_verb<DegradeOptions>("labels degrade", 10,
-                                   "write the training labels, degraded as the configuration says", degrade);
+  return make_verb<DegradeOptions>(
+      "labels degrade", 10, "write the training labels, degraded as the configuration says",
+      {"configs/my_photos.yaml --out labels", "configs/my_photos.yaml --set scene.labels.frames=50% --out half"},
+      degrade);
 }
 
 }  // namespace semfield::app

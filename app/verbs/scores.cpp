@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <cmath>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "app/app_context.h"
@@ -101,29 +100,38 @@ Json protocol_json(const ProtocolScore& score, const Session& s, const std::vect
   return out;
 }
 
-void print_protocol(const Json& of) {
+std::string protocol_text(const Json& of) {
   const auto figure = [&](const char* key) {
     return of[key].is_null() ? std::string("-") : fmt::format("{:.4f}", of[key].get<double>());
   };
-  std::printf("protocol: name=%s miou=%s total_accuracy=%s average_accuracy=%s frames=%zu classes=%zu truth=%s\n",
-              of["name"].get<std::string>().c_str(), figure("miou").c_str(), figure("total_accuracy").c_str(),
-              figure("average_accuracy").c_str(), of["frames"].size(), of["classes"].size(),
-              of["truth"].get<std::string>().c_str());
+  return fmt::format("protocol: name={} miou={} total_accuracy={} average_accuracy={} frames={} classes={} truth={}\n",
+                     of["name"].get<std::string>(), figure("miou"), figure("total_accuracy"),
+                     figure("average_accuracy"), of["frames"].size(), of["classes"].size(),
+                     of["truth"].get<std::string>());
 }
 
-/// A line per value that there was something to score by; the names of the others.
-std::vector<std::string> print_values(const SplitScore& score, const char* how) {
-  std::vector<std::string> missing;
+// A figure as its unit asks; shares and mIoU are of 1.
+std::string with_unit(const std::string& name, double value, bool metric) {
+  if (name.starts_with("psnr")) return fmt::format("{:.2f} dB", value);
+  if (name.ends_with("_px")) return fmt::format("{:.0f} pixels", value);
+  const bool small = value != 0 && std::abs(value) < 1e-3;  // a length of a scene in another unit
+  const bool length = name == "absdiff" || name == "sqrel" || name == "rmse",
+             nats = name == "nll" || name.ends_with("_entropy");
+  return (small ? fmt::format("{:.4g}", value) : fmt::format("{:.4f}", value)) + (length ? metric ? " m" : " units"
+                                                                                  : nats ? " nats"
+                                                                                         : "");
+}
+
+/// A line per value that there was something to score by; the names of the others go to `missing`.
+std::string values_text(const SplitScore& score, const char* how, bool metric, std::vector<std::string>& missing) {
+  std::string text;
   for (const auto& [name, value] : score.values()) {
-    if (value) {
-      const bool small = *value != 0 && std::abs(*value) < 1e-3;  // a length of a scene in another unit
-      std::printf("  %-20s %s%s\n", name.c_str(),
-                  (small ? fmt::format("{:.4g}", *value) : fmt::format("{:.4f}", *value)).c_str(), how);
-    } else {
+    if (value)
+      text += fmt::format("  {:<20} {}{}\n", name, with_unit(name, *value, metric), how);
+    else
       missing.push_back(name);
-    }
   }
-  return missing;
+  return text;
 }
 
 int run(const EvalOptions& options, AppContext& context) {
@@ -157,36 +165,36 @@ int run(const EvalOptions& options, AppContext& context) {
   const std::string not_kept = keep_scores(run, options.split, score, refined ? &*refined : nullptr, diagnostics);
   if (!not_kept.empty()) print_note(context, "the run's folder does not keep these scores: " + not_kept);
   if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
-  if (context.json) {
-    print_json(context, found);
-    return 0;
+  const bool metric = s.scene.info.metric;
+  std::vector<std::string> missing, again;
+  std::string text = fmt::format("{}: {} {} frames, step {}, {:.1f} s of training\n", options.run, score.frames.size(),
+                                 options.split, run.step, run.train_s);
+  text += values_text(score, "", metric, missing);
+  if (refined) text += values_text(*refined, " with refined poses", metric, again);
+  if (!missing.empty()) text += fmt::format("  {:<20} {}\n", "no data for", join(missing));
+  if (split == Split::train) {
+    const ConfusionMatrix given = score_training_labels(s, frames);
+    if (given.scored_px() > 0)
+      text += fmt::format("  {:<20} miou_present {:.4f}, total_accuracy {:.4f} over {} pixels\n", "labels given",
+                          *given.miou_present(), *given.total_accuracy(), given.scored_px());
   }
-  std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),
-              options.split.c_str(), static_cast<long long>(run.step), run.train_s);
-  const std::vector<std::string> missing = print_values(score, "");
-  if (refined) print_values(*refined, " with refined poses");
-  if (!missing.empty()) std::printf("  %-20s %s\n", "no data for", join(missing).c_str());
+  const std::vector<ClassScore> classes = score.confusion.per_class();
   const bool has_labels = score.confusion.scored_px() > 0;
+  if (has_labels) text += fmt::format("  {:<20} {:>8} {:>8} {:>10}\n", "class", "iou", "recall", "pixels");
+  for (std::size_t c = 0; c < classes.size(); ++c) {
+    const ClassScore& k = classes[c];
+    if (k.truth_px == 0 && k.predicted_px == 0) continue;
+    text += fmt::format("  {:<20} {:>8} {:>8} {:>10}\n", s.scene.info.classes.valid(static_cast<int>(c)).name,
+                        figure_text(k.iou), figure_text(k.recall), k.truth_px);
+  }
+  if (found.contains("protocol")) text += protocol_text(found["protocol"]);
+  print_results(context, found, text);
+  if (context.json) return 0;
   if (!has_labels)
     print_note(context, "no frame of split '" + options.split + "' has labels to score against" +
                             (split == Split::test ? "; --split train compares with the labels given" : ""));
   if (const std::string warning = score.resolution.warning(); !warning.empty())
     print_note(context, "warning: " + warning);
-  if (split == Split::train) {
-    const ConfusionMatrix given = score_training_labels(s, frames);
-    if (given.scored_px() > 0)
-      std::printf("  %-20s miou_present %.4f, total_accuracy %.4f over %lld pixels\n", "labels given",
-                  *given.miou_present(), *given.total_accuracy(), static_cast<long long>(given.scored_px()));
-  }
-  const std::vector<ClassScore> classes = score.confusion.per_class();
-  if (has_labels) std::printf("  %-20s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
-  for (std::size_t c = 0; c < classes.size(); ++c) {
-    const ClassScore& k = classes[c];
-    if (k.truth_px == 0 && k.predicted_px == 0) continue;
-    std::printf("  %-20s %8s %8s %10lld\n", s.scene.info.classes.valid(static_cast<int>(c)).name.c_str(),
-                figure_text(k.iou).c_str(), figure_text(k.recall).c_str(), static_cast<long long>(k.truth_px));
-  }
-  if (found.contains("protocol")) print_protocol(found["protocol"]);
   if (not_kept.empty())
     print_next(context, {{"report " + shell_word(options.run), "writes its report again, with these scores"}});
   return 0;
@@ -196,7 +204,7 @@ int run(const EvalOptions& options, AppContext& context) {
 
 Verb verb_eval() {
   return make_verb<EvalOptions>("eval", 20, "evaluate a run's field on a split, and keep the scores for its report",
-                                run, Launch::ranks);
+                                {"runs/my_photos", "runs/my_photos --split train"}, run, Launch::ranks);
 }
 
 // report: error against run time of one or several runs, one self-contained page.
@@ -233,7 +241,8 @@ int run(const ReportOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_report() {
-  return make_verb<ReportOptions>("report", 40, "write one HTML page about a run, or several side by side", run);
+  return make_verb<ReportOptions>("report", 40, "write one HTML page about a run, or several side by side",
+                                  {"runs/my_photos", "runs/my_photos runs/my_clicks --out both.html"}, run);
 }
 
 }  // namespace semfield::app

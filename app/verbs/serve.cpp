@@ -180,7 +180,8 @@ int run(const ServeOptions&, AppContext&) {
 }  // namespace
 
 Verb verb_serve() {
-  return make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains", run);
+  return make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains",
+                                 {"configs/my_photos.yaml", "configs/my_photos.yaml --out runs/my_clicks"}, run);
 }
 
 }  // namespace semfield::app

@@ -68,7 +68,7 @@ struct MeshOptions : Options {
   const std::optional<double>& level =
       positive("--level X", "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
   const std::vector<std::string>& formats =
-      list("--format LIST", "forms of the files, with commas (default: what --out ends with, or ply)", known_formats());
+      list("--format LIST", "file formats, with commas (default: the extension of --out, or ply)", known_formats());
   const std::string& color =
       choice("--color WHICH", "", {"photo", "class", "both"},
              "colours of the photographs, or of the class table, in files that end in _classes (default: both)");
@@ -566,7 +566,8 @@ int run(const MeshOptions& options, AppContext& context) {
 
 Verb verb_mesh() {
   return make_verb<MeshOptions>(
-      "mesh", 60, "write what the cameras saw with colour, class and object: a surface, points, maps, a page", run);
+      "mesh", 60, "write what the cameras saw with colour, class and object: a surface, points, maps, a page",
+      {"runs/my_photos --format ply,html", "runs/my_photos --out room.glb --faces 200000"}, run);
 }
 
 // objects: things of a run's scene told apart by segments of its images, as images, a table, points and figures.
@@ -838,7 +839,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
 
 Verb verb_objects() {
   return make_verb<ObjectsOptions>("objects", 65, "separate and count the things of a scene, by segments of its images",
-                                   run);
+                                   {"runs/my_photos", "runs/my_photos --segments masks --score"}, run);
 }
 
 }  // namespace semfield::app

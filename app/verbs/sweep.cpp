@@ -35,6 +35,7 @@
 #include "eval/report/report.h"
 #include "eval/report/tune.h"
 #include "execution/device_library.h"
+#include "formats/image_io.h"
 #include "train/run_folder.h"
 
 namespace semfield::app {
@@ -196,8 +197,8 @@ int run(const SweepOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_sweep() {
-  return make_verb<SweepOptions>("sweep", 50, "run experiments: a grid of differences, scenes and seeds", run,
-                                 Launch::beside);
+  return make_verb<SweepOptions>("sweep", 50, "run experiments: a grid of differences, scenes and seeds",
+                                 {"my_sweep.yaml --dry-run", "my_sweep.yaml --jobs 2"}, run, Launch::beside);
 }
 
 // tune: a race of settings over a scene's own held-out views.
@@ -462,8 +463,9 @@ int run(const TuneOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_tune() {
-  return make_verb<TuneOptions>("tune", 45, "find the settings that a scene's own held-out views ask for", run,
-                                Launch::beside);
+  return make_verb<TuneOptions>("tune", 45, "find the settings that a scene's own held-out views ask for",
+                                {"configs/my_photos.yaml --time 2m", "configs/my_photos.yaml --for depth --dry-run"},
+                                run, Launch::beside);
 }
 
 // demo: the verbs that make a labelled scene, one after the other, on the shipped room.
@@ -471,6 +473,9 @@ Verb verb_tune() {
 namespace {
 
 constexpr const char* kOwnFolder = "runs/demo";
+constexpr const char* kSettings[] = {"report.eval_share=0",  // figures of every test frame, on a slow machine too
+                                     "name=demo", "scene.width_px=320", "scene.height_px=240"};
+constexpr const char* kSteps = "7000";
 
 struct DemoOptions : Options {
   explicit DemoOptions(const Declaration& at) : Options(at) { threads(set); }
@@ -531,6 +536,37 @@ std::string figures_of(const std::string& out) {
   return join(kept, " ");
 }
 
+// A held-out view to show to others: photograph and colour, labels over colour and depth. Of the views that the report
+// shows the last one, which looks across the room. Returns the file's path; "" where no view has all of them.
+std::string write_first_picture(const std::string& run_dir) {
+  constexpr const char* kTruth = "_rgb_truth.png";
+  constexpr std::int32_t kGap_px = 4;
+  std::string last;
+  std::error_code unknown;
+  for (const auto& entry : fs::directory_iterator(fs::path(run_dir) / "render" / "test", unknown))
+    if (const std::string file = entry.path().string(); file.ends_with(kTruth)) last = std::max(last, file);
+  if (last.empty()) return {};
+  const std::string stem = last.substr(0, last.size() - std::string_view(kTruth).size());
+  std::vector<Image<std::uint8_t>> parts;
+  for (const char* kind : {kTruth, "_rgb.png", "_label_vis.png", "_depth_vis.png"}) {
+    if (!is_file(stem + kind)) return {};
+    parts.push_back(read_rgb(stem + kind));
+  }
+  for (std::size_t i = 0; i < parts[2].pixels.size(); ++i)
+    parts[2].pixels[i] = static_cast<std::uint8_t>((parts[1].pixels[i] + parts[2].pixels[i] + 1) / 2);
+  const std::int32_t width = parts[0].width_px, height = parts[0].height_px, row = 2 * width + kGap_px;
+  std::vector<std::uint8_t> all(3 * static_cast<std::size_t>(row) * static_cast<std::size_t>(2 * height + kGap_px),
+                                255);
+  for (std::size_t p = 0; p < parts.size(); ++p) {
+    const std::int64_t left = p % 2 == 0 ? 0 : width + kGap_px, top = p < 2 ? 0 : height + kGap_px;
+    for (std::int64_t y = 0; y < height; ++y)
+      std::copy_n(parts[p].pixels.begin() + 3 * y * width, 3 * width, all.begin() + 3 * ((top + y) * row + left));
+  }
+  const std::string path = (fs::path(run_dir) / "first_look.png").string();
+  write_png_rgb(path, row, 2 * height + kGap_px, all);
+  return path;
+}
+
 int run(const DemoOptions& options, AppContext& context) {
   const std::string config = shared_file("configs/quickstart.yaml");  // a file `quickstart.yaml` here is not meant
   const std::string out = options.out.empty() ? kOwnFolder : options.out;
@@ -541,19 +577,21 @@ int run(const DemoOptions& options, AppContext& context) {
                                   cache.empty() ? "" : "; cast frames are kept in " + cache));
   if (options.out.empty()) clear_own_folder(context);
   (void)RunFolder::create(out);  // refuses a folder that cannot be written before the scene is read
-  // The figures are of every test frame, on a slow machine too.
   const std::string named = find_config("quickstart") == config ? "quickstart" : config;
-  std::vector<std::string> train{"train", named, "--set", "report.eval_share=0", "--set", "name=demo", "--out", out};
+  std::vector<std::string> train{"train", named, "--out", out};
+  for (const char* setting : kSettings) train.insert(train.end(), {"--set", setting});
   for (const std::string& setting : options.set) {
     // "--threads runtime.threads=2" was typed as "--threads 2".
     train.push_back("--set");
     train.push_back(setting.starts_with("--") ? setting.substr(setting.find(' ') + 1) : setting);
   }
-  if (options.length.steps) train.insert(train.end(), {"--steps", std::to_string(*options.length.steps)});
-  if (!options.length.time.empty()) train.insert(train.end(), {"--time", options.length.time});
+  const bool timed = !options.length.time.empty();
+  train.insert(train.end(),
+               {timed ? "--time" : "--steps", timed                  ? options.length.time
+                                              : options.length.steps ? std::to_string(*options.length.steps)
+                                                                     : kSteps});
   const std::string program = typed_program();
   install_stop_signals(!context.quiet);
-  leave_next_out_of_children();
   std::string figures;
   for (std::vector<std::string> words :
        {train, {"render", out, "--split", "test"}, {"mesh", out, "--format", "ply,glb"}}) {
@@ -563,33 +601,32 @@ int run(const DemoOptions& options, AppContext& context) {
     words.insert(words.begin(), own_program());
     if (context.quiet) words.push_back("--quiet");
     if (context.json) words.push_back("--json");
+    leave_next_out_of_children(true);
     const ChildEnd end = run_child(words);
-    if (!context.quiet) std::fputs(end.out.c_str(), stderr);
+    leave_next_out_of_children(false);
+    print_note(context, end.out.substr(0, end.out.find_last_not_of('\n') + 1));
     if (end.code != 0) return end.code;
     if (figures.empty()) figures = context.json ? end.out : figures_of(end.out);
   }
-  const std::string folder = shell_word(out);
+  const std::string folder = shell_word(out), picture = write_first_picture(out);
   print_note(
       context,
-      fmt::format(
-          "\nThe room is labelled: {0}\n"
-          "  report            {0}/report.html\n"
-          "  labels, depth, …  {0}/render/test/\n"
-          "  labelled mesh     {0}/mesh.ply, {0}/mesh.glb; by class: {0}/mesh_classes.ply, {0}/mesh_classes.glb\n"
-          "  all figures       {1} eval {0}\n"
-          "  longer training   {1} train --resume {0} --time 5m\n"
-          "Your own scene: write my_scene.yaml, with `include: presets/room.yaml` and where the "
-          "scene is, then\n  {1} inspect my_scene.yaml\n"
-          "The guide docs/guide/own_data.md says how.",
-          folder, program));
-  if (context.json) {
-    Json found = Json::parse(figures);  // by `train`
-    found.erase("semfield");
-    found.erase("verb");
-    print_json(context, found);
-    return 0;
-  }
-  std::printf("demo: %s\n", figures.c_str());
+      fmt::format("\nThe room is labelled, from labels of a tenth of its frames. {}The report is {}/report.html, the "
+                  "labelled mesh {}/mesh_classes.glb, and {}/render/test has every unseen view.",
+                  picture.empty() ? ""
+                                  : "Look at " + picture +
+                                        " first: an unseen view, photograph and "
+                                        "rendered colour above labels and depth. ",
+                  out, out, out));
+  std::vector<NextStep> next = next_of_look(out);
+  next.push_back({"eval " + folder, "every figure of its unseen views"});
+  next.push_back({"train --resume " + folder + " --time 5m", "sharper, in five minutes more"});
+  next.push_back({"help init", "for photographs of your own; docs/guide/own_data.md says more"});
+  print_next(context, next, program);
+  Json found = context.json ? Json::parse(figures) : Json::object();  // by `train`
+  found.erase("semfield");
+  found.erase("verb");
+  print_results(context, found, "demo: " + figures);
   return 0;
 }
 
@@ -597,7 +634,7 @@ int run(const DemoOptions& options, AppContext& context) {
 
 Verb verb_demo() {
   return make_verb<DemoOptions>("demo", 5, "train on the shipped room, render its held-out views and write its mesh",
-                                run);
+                                {"", "--time 60s --out runs/my_demo"}, run);
 }
 
 }  // namespace semfield::app

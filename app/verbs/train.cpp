@@ -1,7 +1,9 @@
 // train: start, resume, or only say what would be done.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <climits>
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "app/app_context.h"
@@ -39,15 +41,43 @@ struct TrainOptions : Options {
   const std::vector<std::string>& keep = repeated("--keep COMPONENT", "keep a component that would be left out");
   const bool& weak = flag("--weak", "under mpirun or srun: train.rays in each process, not in all together");
   const bool& flat = flag("--no-3d", "write a report without the view in 3D");
-  const bool& dry_run = flag("--dry-run", "print what would be built and left out, then stop");
+  const bool& dry_run = flag("--dry-run", "print the plan of the training, then stop");
 };
 
-std::string number(const std::vector<std::pair<std::string, std::optional<double>>>& values, const std::string& name,
-                   const char* format) {
-  for (const auto& [key, value] : values) {
-    if (key == name && value) return fmt::format(fmt::runtime(format), *value);
-  }
+std::optional<double> score_named(const TrainOutcome& outcome, std::string_view name) {
+  for (const auto& [key, value] : outcome.values)
+    if (key == name) return value;
   return {};
+}
+
+// What was reached, how sure that is, where to look, and whether to train on.
+std::string outcome_text(const TrainOutcome& outcome, const std::vector<MetricsRow>& rows) {
+  constexpr std::pair<double, const char*> kLevels[] = {{20, "which is far off"},
+                                                        {kShown_db, "which is blurred"},
+                                                        {30, "which shows the scene clearly"},
+                                                        {INFINITY, "with fine detail"}};
+  std::string text = fmt::format("Trained {} steps in {}.", outcome.step, clock_text(outcome.train_s));
+  if (const std::optional<double> psnr_db = score_named(outcome, "psnr")) {
+    const std::vector<double>& frames = outcome.frame_psnr_db;
+    const auto* level =
+        std::find_if(std::begin(kLevels), std::end(kLevels), [&](const auto& l) { return *psnr_db < l.first; });
+    text += fmt::format(" Held-out views match their photographs to {:.1f} dB, {}", *psnr_db, level->second);
+    text +=
+        frames.size() < 2 ? "." : fmt::format("; single ones to {:.1f} to {:.1f} dB.", frames.front(), frames.back());
+    if (const std::optional<double> right = score_named(outcome, "total_accuracy"))
+      text += fmt::format(" {:.1f} % of their labels are right (mIoU {}).", 100 * *right,
+                          figure_text(score_named(outcome, "miou_present")));
+    text += " Measured on " + outcome.scored.text() + ".";
+    if (const std::optional<Outlook> more = outlook(rows, outcome.train_s, *psnr_db))
+      text += fmt::format(
+          "\nThat is too brief to show. By its own curve, {0} more bring about {1:.1f} dB:\n`semfield train --resume "
+          "{2} "
+          "--time {0}`",
+          more->more_s < 90 ? fmt::format("{:.0f}s", std::ceil(more->more_s))
+                            : fmt::format("{:.0f}m", std::ceil(more->more_s / 60)),
+          more->gain_db, shell_word(outcome.run_dir));
+  }
+  return text + (outcome.report_path.empty() ? "" : "\nLook at " + outcome.report_path + " first.");
 }
 
 // The figures that the scene can have, a blank behind each. Those of a part of the test frames have names of their own,
@@ -63,8 +93,8 @@ std::string scores_text(const TrainOutcome& outcome) {
                                                          {"psnr_fitted_colors", "{:.2f}"},
                                                          {"absrel", "{:.4f}"}};
   for (const auto& [name, format] : figures) {
-    const std::string value = number(outcome.values, name, format);
-    if (!value.empty()) text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, value);
+    if (const std::optional<double> value = score_named(outcome, name))
+      text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, fmt::format(fmt::runtime(format), *value));
   }
   return text;
 }
@@ -84,19 +114,11 @@ Json outcome_json(const TrainOutcome& outcome) {
   return out;
 }
 
-// What a dry run says, a line each.
-Json plan_json(std::string_view text) {
-  Json lines = Json::array();
-  std::string_view line;
-  while (next_line(text, line)) lines.push_back(line);
-  return {{"plan", lines}};
-}
-
 std::vector<LinePart> progress_parts(const TrainProgress& p) {
   std::vector<LinePart> parts{{0, fmt::format("step {}{}", p.step, p.steps > 0 ? fmt::format("/{}", p.steps) : "")},
                               {2, fmt::format("  loss {:.4f}", p.loss)}};
   for (const auto& [type, value] : p.terms) parts.push_back({7, fmt::format("  {} {:.4f}", type, value)});
-  parts.push_back({3, fmt::format("  train psnr {:.2f}", p.psnr)});
+  parts.push_back({3, fmt::format("  train psnr {:.2f} dB", p.psnr)});
   if (p.miou_present) {
     parts.push_back({4, fmt::format("  miou_present {:.3f}", *p.miou_present)});
     parts.push_back({8, fmt::format(" ({})", p.scored.text())});
@@ -110,10 +132,20 @@ std::vector<LinePart> progress_parts(const TrainProgress& p) {
 // A run as the terminal shows it, and what signals request of it.
 class ShownRun final : public RunListener {
  public:
-  ShownRun(const AppContext& context, std::string out_dir, bool flat)
-      : context_(context), out_dir_(std::move(out_dir)), flat_(flat) {}
+  /// `scene`: the configuration, as a shell reads it.
+  ShownRun(const AppContext& context, std::string out_dir, std::string scene, bool flat)
+      : context_(context), out_dir_(std::move(out_dir)), scene_(std::move(scene)), flat_(flat) {}
 
   void note(const std::string& text) override { print_note(context_, text); }
+  void warning(const std::string& text) override { print_note(context_, "warning: " + text); }
+  void opened(const Diagnostics& diagnostics, const Session& session) override {
+    if (!context_.terminal) return RunListener::opened(diagnostics, session);
+    print_findings(context_, diagnostics, scene_);
+    if (const std::size_t chosen = session.choices().size(); chosen > 0)
+      print_note(context_,
+                 fmt::format("{} settings suit this scene and machine; `semfield train {} --dry-run` lists them",
+                             chosen, scene_));
+  }
   void progress(const TrainProgress& p) override {
     scoring_.reset();  // one that a stop cut short
     if (!context_.quiet) print_progress(p);
@@ -147,7 +179,7 @@ class ShownRun final : public RunListener {
   }
 
   const AppContext& context_;
-  std::string out_dir_;
+  std::string out_dir_, scene_;
   bool flat_;
   double next_line_s_ = 0;
   std::optional<ProgressLine> scoring_;
@@ -163,8 +195,8 @@ int run(const TrainOptions& options, AppContext& context) {
   if (options.weak && resume)
     throw Error(ErrorKind::usage, "usage.flag.conflict",
                 "train: --weak multiplies the rays of a new run, and a resumed one keeps its own", "leave out --weak");
-  RunConfig config = load_run_config(resume ? RunFolder::read(options.resume).config_path() : options.config,
-                                     options.set, context.registry);
+  const std::string config_file = resume ? RunFolder::read(options.resume).config_path() : options.config;
+  RunConfig config = load_run_config(config_file, options.set, context.registry);
   if (!resume && asked.any()) ask(config, asked);
   if (options.weak && context.ranks) config.train.rays *= context.ranks->size();
   if (options.dry_run) {
@@ -172,9 +204,12 @@ int run(const TrainOptions& options, AppContext& context) {
     SessionOptions session_options;
     session_options.keep = options.keep;
     const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
-    print_findings(context, diagnostics);
+    print_findings(context, diagnostics, shell_word(config_file));
     const std::string plan = describe_session(session);
-    print_results(context, plan_json(plan), plan);
+    Json found{{"plan", Json::array()}, {"left_out", Json::parse(left_out_json(session.plan.left_out))}};
+    std::string_view lines = plan, line;
+    while (next_line(lines, line)) found["plan"].push_back(line);
+    print_results(context, found, plan);
     return 0;
   }
   TrainRequest request{.driver = Driver::command};
@@ -183,7 +218,7 @@ int run(const TrainOptions& options, AppContext& context) {
   request.keep = options.keep;
   request.ranks = context.ranks.get();
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
-  ShownRun shown(context, request.out_dir, options.flat);
+  ShownRun shown(context, request.out_dir, shell_word(config_file), options.flat);
   install_stop_signals(!context.quiet);
   install_save_signal();
   stop_waits(false, "stopped before the first step");
@@ -196,6 +231,7 @@ int run(const TrainOptions& options, AppContext& context) {
   }
   if (outcome.scored.frames == 0)
     print_note(context, "the scene has no test frames, so the field was not scored; see `semfield inspect`");
+  print_note(context, outcome_text(outcome, read_metrics(RunFolder::read(outcome.run_dir).metrics_path())));
   print_results(
       context, outcome_json(outcome),
       fmt::format("train: {}train_s={:.1f} trained_s={:.1f} steps={} peak_mb={} report={}", scores_text(outcome),
@@ -207,7 +243,9 @@ int run(const TrainOptions& options, AppContext& context) {
 }  // namespace
 
 Verb verb_train() {
-  return make_verb<TrainOptions>("train", 10, "train a field on a scene; writes a run folder", run, Launch::ranks);
+  return make_verb<TrainOptions>("train", 10, "train a field on a scene; writes a run folder",
+                                 {"configs/my_photos.yaml --time 10m", "--resume runs/my_photos --time 10m"}, run,
+                                 Launch::ranks);
 }
 
 }  // namespace semfield::app

@@ -437,7 +437,8 @@ int run(const ViewVerbOptions&, AppContext&) {
 }  // namespace
 
 Verb verb_view() {
-  return make_verb<ViewVerbOptions>("view", 20, "look at a run in the browser, while it trains or afterwards", run);
+  return make_verb<ViewVerbOptions>("view", 20, "look at a run in the browser, while it trains or afterwards",
+                                    {"runs/my_photos", "runs/my_photos --port 8790"}, run);
 }
 
 }  // namespace semfield::app

@@ -32,6 +32,7 @@ constexpr double kProgressEvery_s = 0.2;
 // A process that is to end gets at least this before it is killed; drivers look at the signal after each step.
 constexpr double kStopDeadline_s = 10;
 constexpr std::size_t kMostWaiting = 100'000;  // rows of a run with a folder, while they cannot be written
+constexpr const char* kLength = "length";      // among the settings that a resume changes
 constexpr std::int64_t kAllSteps = std::numeric_limits<std::int64_t>::max();
 
 using Clock = std::chrono::steady_clock;
@@ -100,7 +101,9 @@ Run::Run(RunConfig config, Registry& registry, const TrainRequest& request, RunL
   next_eval_s_ = every_s > 0 ? (std::floor(training_->train_s() / every_s) + 1) * every_s : INFINITY;
   if (!request.resume) return;
   for (const ConfigDifference& change : point.changed)
-    listener_.note(fmt::format("from step {} on: {}", point.step(), change.text()));
+    listener_.note(change.key == kLength
+                       ? fmt::format("training continues from step {}, up to {} in all", point.step(), change.right)
+                       : fmt::format("from step {} on: {}", point.step(), change.text()));
   if (!point.facts) {
     listener_.note("no checkpoint yet: starting from step 0");
     return;
@@ -143,7 +146,7 @@ ResumePoint Run::open(RunConfig config, const TrainRequest& request, TrainingLis
     if (request.more.any()) {
       const std::string before = length_text(config);
       ask_more(config, request.more, point.step(), point.facts ? point.facts->train_s : 0);
-      point.changed.push_back({"length", before, length_text(config)});
+      point.changed.push_back({kLength, before, length_text(config)});
     }
     require_scene_places(config, folder_->path());
     require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
@@ -157,7 +160,7 @@ ResumePoint Run::open(RunConfig config, const TrainRequest& request, TrainingLis
   for (std::size_t i = before; i < diagnostics.all().size(); ++i) findings += diagnostics.all()[i].text() + "\n";
   SceneInputs inputs = scene_inputs(session_.scene, session_.labels);
   if (point.facts) compare_with_training(*point.facts, inputs, session_, diagnostics);
-  tell_findings(told, diagnostics, session_);
+  told.opened(diagnostics, session_);
   if (folder_ && driver_ == Driver::command) ended_ = ended_run(*folder_, session_.config, point);
   if (!out_dir.empty() && !folder_) {
     (void)run_config_text(session_.config, registry_);  // what cannot be stored leaves no folder
@@ -451,6 +454,7 @@ TrainOutcome Run::finish() {
     if (outcome.signal == 0) {
       outcome.values = scores_->score_end();
       outcome.scored = scores_->last_part;
+      outcome.frame_psnr_db = scores_->frame_psnr_db;
     }
     outcome.step = training_->step();
     outcome.train_s = training_->train_s();

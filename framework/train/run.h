@@ -82,10 +82,11 @@ struct TrainOutcome {
   double train_s = 0;    ///< seconds of training of the whole run
   double trained_s = 0;  ///< of them, those of this call
   std::string run_dir;
-  std::string report_path;     ///< "" where the run was stopped or no report was requested
-  ScoreValues values;          ///< test split, final evaluation
-  ScoredPart scored;           ///< the frames that `values` are of
-  std::size_t peak_bytes = 0;  ///< of the process
+  std::string report_path;            ///< "" where the run was stopped or no report was requested
+  ScoreValues values;                 ///< test split, final evaluation
+  ScoredPart scored;                  ///< the frames that `values` are of
+  std::vector<double> frame_psnr_db;  ///< of each of them, ascending
+  std::size_t peak_bytes = 0;         ///< of the process
 };
 
 /// Steps have the same bits whoever drives, and every verb works on the folder. One thread at a time.

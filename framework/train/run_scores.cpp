@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <limits>
 
@@ -180,6 +181,9 @@ ScoreValues RunScores::score_test_frames(EvalJob job, double pictures_s) {
   const SplitScore found = score(job, Split::test);
   if (part.stride > 1) draw_report_frames(pictures_s, part.stride);
   log_test(part, found);
+  for (const FrameScore& frame : found.frames)
+    if (frame.psnr_db) frame_psnr_db.push_back(*frame.psnr_db);
+  std::sort(frame_psnr_db.begin(), frame_psnr_db.end());
   if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
   const std::string split = part.whole() ? "test" : "test" + kSampleSuffix;
   write_file_atomic(folder_.final_eval_path(),
@@ -205,6 +209,35 @@ std::string ScoredPart::text() const {
   const std::string count =
       frames == of ? fmt::format("all {} frames", of) : fmt::format("{} of {} frames", frames, of);
   return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
+}
+
+std::optional<Outlook> outlook(const std::vector<MetricsRow>& rows, double train_s, double psnr_db) {
+  constexpr int kMostDoublings = 4;
+  constexpr double kWindow = 0.75;  // of a length, from there to its end
+  // PSNR of the training rays at the end of a run of that length; NaN where no row lies there.
+  const auto level = [&](double length_s) {
+    double mse = 0;
+    int count = 0;
+    for (const MetricsRow& row : rows) {
+      const std::optional<double> psnr = row.kind == "train" ? row.get("psnr") : std::nullopt;
+      if (!psnr || row.train_s <= kWindow * length_s || row.train_s > length_s) continue;
+      mse += std::pow(10, -*psnr / 10);
+      ++count;
+    }
+    return -10 * std::log10(mse / count);
+  };
+  const double last = level(train_s) - level(train_s / 2), before = level(train_s / 2) - level(train_s / 4);
+  // Gains shrink from one doubling to the next as they did, within what curves of this field do.
+  const double shrinks = before > 0 ? std::clamp(last / before, 0.5, 0.8) : 0.65;
+  Outlook out{0, 0};
+  double gain = last * shrinks, length_s = train_s;
+  for (int n = 0; n < kMostDoublings && gain >= kWorthwhile_db && psnr_db + out.gain_db < kShown_db; ++n) {
+    out.gain_db += gain;
+    out.more_s += length_s;
+    length_s *= 2;
+    gain *= shrinks;
+  }
+  return out.more_s > 0 ? std::optional(out) : std::nullopt;  // NaN is no gain
 }
 
 std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,

@@ -96,7 +96,8 @@ class RunScores {
   ScoreValues score_end();
 
   std::optional<double> last_miou_present;
-  ScoredPart last_part;  ///< of the test frames scored last
+  ScoredPart last_part;               ///< of the test frames scored last
+  std::vector<double> frame_psnr_db;  ///< of each test frame at the end, ascending
   ReportFrames report_frames;
 
  private:
@@ -116,6 +117,17 @@ class RunScores {
   std::vector<int> test_;
   std::optional<std::int32_t> sample_stride_;
 };
+
+/// What the curve of a training still promises.
+struct Outlook {
+  double gain_db;  ///< what it would bring to train on
+  double more_s;   ///< for so long
+};
+/// From the rows of a run that ended `train_s` seconds after its start with this PSNR: how much doubling its length
+/// has brought twice, and so what doubling it again will. None where the colours are those of kShown_db already, or
+/// where another doubling brings less than kWorthwhile_db.
+std::optional<Outlook> outlook(const std::vector<MetricsRow>& rows, double train_s, double psnr_db);
+inline constexpr double kShown_db = 25, kWorthwhile_db = 0.3;
 
 /// Keeps the scores of every pixel of a split where reports look for them: a row of metrics.jsonl, and for test frames
 /// final_eval.json. Scores that are there already stay. `refined`: the same frames once more with poses fitted to the

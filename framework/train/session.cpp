@@ -574,9 +574,10 @@ std::string describe_session(const Session& s) {
   const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);
   const FrameInfo& first = s.scene.info.frames.at(static_cast<std::size_t>(train.empty() ? 0 : train.front()));
   const Vec3d size = s.extent.bounds.size();
-  add(fmt::format("scene     {}: {} training and {} test frames at {}x{}, {} classes, labels on {} training frames",
-                  s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px,
-                  s.classes(), s.manifest.labelled_frames));
+  add(fmt::format(
+      "scene     {}: {} training and {} test frames of {} x {} pixels, {} classes, labels on {} training frames",
+      s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px, s.classes(),
+      s.manifest.labelled_frames));
   if (s.config.labels.from.reader) add("labels    from " + s.config.labels.from.type);
   for (const TrainingLabels::Step& step : s.labels.steps) {
     std::vector<std::string> facts;
@@ -615,10 +616,8 @@ std::string describe_session(const Session& s) {
                     s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
   }
   for (const std::string& line : s.choices()) add("chosen    " + line);
-  for (const LeftOut& row : s.plan.left_out) {
-    add(fmt::format("left out  {} [{}]: {}; this saves {}", row.component, static_cast<char>(row.proof), row.evidence,
-                    row.saving));
-  }
+  for (const LeftOut& row : s.plan.left_out)
+    if (row.component == "cuda") add("device    cpu: " + row.evidence);
   for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
   return out;
 }

@@ -21,7 +21,7 @@ std::unique_ptr<Session> opened(RunConfig config, Registry& registry, const Sess
                                 TrainingListener* listener) {
   Diagnostics diagnostics;
   auto session = std::make_unique<Session>(open_session(std::move(config), registry, options, diagnostics));
-  if (listener != nullptr) tell_findings(*listener, diagnostics, *session);
+  if (listener != nullptr) listener->opened(diagnostics, *session);
   return session;
 }
 
@@ -37,15 +37,10 @@ double steady_s() { return std::chrono::duration<double>(std::chrono::steady_clo
 
 double TrainingListener::step_clock_s() { return steady_s(); }
 
-void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
-  for (const Diagnostic& finding : folded(diagnostics)) {
-    if (finding.severity == Severity::note) {
-      listener.note(finding.shown());
-    } else {
-      listener.warning(finding.shown());
-    }
-  }
-  for (const std::string& line : session.choices()) listener.note(line);
+void TrainingListener::opened(const Diagnostics& diagnostics, const Session& session) {
+  for (const Diagnostic& finding : folded(diagnostics))
+    finding.severity == Severity::note ? note(finding.shown()) : warning(finding.shown());
+  for (const std::string& line : session.choices()) note(line);
 }
 
 Trainer::Trainer(RunConfig config, Registry& registry, const SessionOptions& options, TrainingListener* listener)
@@ -90,12 +85,8 @@ void Trainer::settle_length() {
   if (listener_ == nullptr) return;
   const double rate = pace_->steps_per_s();
   if (!anew)  // what a later correction says nobody can act on
-    listener_->note(
-        fmt::format("the length is settled: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
-                    "on, to {:.4g} "
-                    "of the first; run.yaml has the numbers, also where the rate of steps changes them",
-                    *end, end_s(config), rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(),
-                    config.schedule.factor));
+    listener_->note(fmt::format("the length is settled: {} steps for {:.4g} s of training{}, as run.yaml says", *end,
+                                end_s(config), rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : ""));
   Diagnostics never;
   check_length(config, never);
   for (const Diagnostic& finding : never.all()) listener_->warning(finding.message);

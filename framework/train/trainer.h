@@ -29,14 +29,13 @@ class TrainingListener : NonCopyable {
   virtual void note(const std::string&) {}
   /// A finding that something may be wrong.
   virtual void warning(const std::string& text) { note(text); }
+  /// What opening a session found, and what it chose: each by itself, unless somebody says it shorter.
+  virtual void opened(const Diagnostics& diagnostics, const Session& session);
   /// A clock for what steps take; it never runs back.
   virtual double step_clock_s();
   /// `step` steps are made; these are the losses of the last of them.
   virtual void stepped(std::int64_t /*step*/, const StepLosses&) {}
 };
-
-/// Notes of what opening a session found, and of what it chose.
-void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session);
 
 /// Steps in a row without any density after which a pass counts as dead.
 inline constexpr std::int64_t kDeadSteps = 100;

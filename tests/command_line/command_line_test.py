@@ -160,6 +160,55 @@ CASES = {
 ELSEWHERE = {"bench gpu", "bench step", "serve", "demo", "plugins check", "prepare", "objects", "view"}
 
 
+class Examples(WordsCase):
+    """The examples that begin the help of every verb."""
+
+    def test_every_help_begins_with_two_and_they_run(self):
+        # What they name is there: photographs, a configuration, two runs and a sweep, all small.
+        write_room(self.dir / "data/my_photos", 8)
+        self.write("configs/my_photos.yaml", "name: my_photos\n" + CONFIG.replace("ROOM", ROOM.replace("root: ", "root: ../data/"))
+                   .replace("root: ../data/room", "root: ../data/my_photos").replace("steps: 200", "steps: 40") +
+                   "report: {eval_every_s: 0, strips: 0}\n")
+        self.ok("train configs/my_photos.yaml --no-3d")
+        shutil.copytree(self.dir / "runs/my_photos", self.dir / "runs/my_clicks")
+        self.write("my_sweep.yaml", "name: tried\nbase: configs/my_photos.yaml\ngrid: {train.rays: [64, 128]}\n")
+        short = [(r"--time \S+", "--steps 20"), ("^train configs/my_photos.yaml", r"\g<0> --out runs/second"),
+                 ("^init .*", r"\g<0> --replace"), ("smooth", "smooth --frames 9")]
+        for verb in self.verbs():
+            with self.subTest(verb):
+                for words in re.match(r"  semfield (.*)\n  semfield (.*)\n\n", self.ok(f"help {verb}").out).groups():
+                    self.assertEqual(words.split()[:len(verb.split())], verb.split())
+                    for long, brief in short:
+                        words = re.sub(long, brief, words)
+                    if verb not in ELSEWHERE - {"bench step"}:
+                        self.ok(words)
+                    elif verb != "demo":  # without what it needs: but its words are right
+                        self.assertNotIn(self.semfield(words, self.folder()).code, (0, 2), words)
+
+
+class OnATerminal(WordsCase):
+    """Of 80 columns, with and without colours."""
+
+    def test_what_people_read_fits_and_says_how_to_go_on(self):
+        write_room(self.dir / "room", 8)
+        self.write("config.yaml", CONFIG.replace("ROOM", ROOM) + "report: {eval_every_s: 0, strips: 0}\n")
+        said = {}
+        for words in ("inspect config.yaml", "train config.yaml --dry-run", "train config.yaml --out run --no-3d",
+                      "eval run", "mesh run --resolution 24"):
+            code, said[words] = self.on_terminal([PROGRAM, *words.split()], {"TERM": "xterm"})
+            self.assertEqual(code, 0, said[words])
+            plain = re.sub(r"\x1b\[[0-9;]*[mK]", "", said[words])
+            for line in plain.replace("\r\n", "\n").split("\n"):
+                self.assertLessEqual(len(line.rsplit("\r", 1)[-1]), 80, line)
+        self.has(" ".join(said["train config.yaml --out run --no-3d"].split()), "Trained 200 steps in ",
+                 "Held-out views match", "% of their labels are right", "Look at run/report.html first.",
+                 "\x1b[1mnext\x1b[0m")
+        self.has(said["eval run"], " dB", " m\r\n")
+        self.lacks(said["train config.yaml --dry-run"], "left out")
+        for more in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
+            self.lacks(self.on_terminal([PROGRAM, "eval", "run"], {"TERM": "xterm", **more})[1], "\x1b[1m", "\x1b[2m")
+
+
 class JsonOutput(WordsCase):
     """--json of every verb: one object with the keys that all have, or a refusal."""
 

@@ -284,7 +284,7 @@ done
     @needs_ffmpeg
     def test_unknown_panels_counts_and_what_it_cannot_hold_are_refused(self):
         for words, said in (("--video --panels rgb,normals", ("usage.value.invalid", "'normals'", "entropy")),
-                            ("--video --out room.mpx", ("'.mpx' is not the ending of a video file", "known: .mp4, ",
+                            ("--video --out room.mpx", ("'.mpx' is no extension of a video file", "known: .mp4, ",
                                                         "room.mp4")),
                             ("--trajectory smooth --frames 0", ()), ("--video --fps 0", ())):
             self.ended(f"render {shlex.quote(str(self.run_dir))} {words}", 2, *said)

@@ -276,7 +276,7 @@ TEST_F(RunLengthTest, AResumeTrainsThatMuchMoreAtAUsefulRate) {
   const TrainOutcome ended = resume("run", {30, 0}, more);
   EXPECT_EQ(ended.step, 70);
   EXPECT_NEAR(ended.trained_s, 30 * kStep_s, 1e-9);
-  EXPECT_HAS(more.notes, "from step 40 on: length: 40 steps -> 70 steps");
+  EXPECT_HAS(more.notes, "training continues from step 40, up to 70 steps in all");
   const ScheduleParams schedule = stored("run").schedule;
   EXPECT_NEAR(schedule_factor(schedule, 39), std::pow(0.1, 39.0 / 40), 1e-12);
   EXPECT_EQ(schedule_factor(schedule, 40), 0.5);

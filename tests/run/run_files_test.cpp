@@ -17,6 +17,7 @@
 #include "train/checkpoint.h"
 #include "train/metrics_log.h"
 #include "train/run_folder.h"
+#include "train/run_scores.h"
 
 namespace semfield {
 namespace {
@@ -240,6 +241,29 @@ TEST_F(RunFolderTest, EnvironmentAndLeftOutRoundTrip) {
   EXPECT_EQ(read[0]["proof"], "B");
   EXPECT_TRUE(read[0]["saving_measured"].is_null());
   EXPECT_NE(error_of(ErrorKind::data, [] { (void)parse_environment("{", "environment.json"); }), "");
+}
+
+// A curve that gains `first_db` from 16 s to 32 s, and `last_db` from there to 64 s, its end.
+std::optional<Outlook> outlook_of(double first_db, double last_db, double psnr_db) {
+  std::vector<MetricsRow> rows;
+  for (int t = 1; t <= 64; ++t) {
+    MetricsRow& row = rows.emplace_back();
+    row.train_s = t;
+    row.set("psnr", 18 + (t > 16 ? first_db : 0) + (t > 32 ? last_db : 0));
+  }
+  return outlook(rows, 64, psnr_db);
+}
+
+TEST(Outlook, ABriefTrainingIsToldForHowLongToGoOn) {
+  const std::optional<Outlook> more = outlook_of(2, 1, 20);  // 0.5 dB for another 64 s, then 0.25
+  ASSERT_TRUE(more);
+  EXPECT_DOUBLE_EQ(more->more_s, 64);
+  EXPECT_NEAR(more->gain_db, 0.5, 1e-9);
+  EXPECT_DOUBLE_EQ(outlook_of(2, 1.6, 20)->more_s, 64 * 15) << "1.28, 1.02, 0.82 and 0.66 dB, and then it is enough";
+  EXPECT_DOUBLE_EQ(outlook_of(2, 1.6, 24)->more_s, 64) << "25 dB are enough to show";
+  EXPECT_FALSE(outlook_of(2, 1.6, 25));
+  EXPECT_FALSE(outlook_of(1, 0.4, 18)) << "more of the same training hardly helps";
+  EXPECT_FALSE(outlook({}, 64, 18)) << "no curve, no outlook";
 }
 
 // metrics.jsonl, read back also by code that shares nothing with its writer.

@@ -86,6 +86,16 @@ TEST(Notes, BreakBetweenWordsAndNeverInACommand) {
   EXPECT_EQ(wrapped("unbreakable/path/to/a/file is\n  indented", 8), "unbreakable/path/to/a/file\nis\n  indented");
   EXPECT_EQ(wrapped("a ` alone is no command", 9), "a ` alone\nis no\ncommand");
   EXPECT_EQ(wrapped("", 5), "");
+  EXPECT_EQ(wrapped("f=aaa,bbb,ccc", 9), "f=aaa,\nbbb,ccc");
+  EXPECT_EQ(wrapped("depth   a b c d e f\neval: a=1 b=2 c=3\n", 16, true),
+            "depth   a b c d\n        e f\neval: a=1 b=2\n  c=3\n");
+}
+
+TEST(Notes, ColoursMarkWhatIsWrongAndWhatIsTyped) {
+  EXPECT_EQ(painted("warning: dark [scene.a.dark]"), "\033[1;33mwarning\033[0m: dark \033[2m[scene.a.dark]\033[0m");
+  EXPECT_EQ(painted("go `x --y`\n$ ls"), "go \033[1m`x --y`\033[0m\n\033[1m$ ls\033[0m");
+  EXPECT_EQ(painted("next\n  # why\n"), "\033[1mnext\033[0m\n  \033[2m# why\033[0m\n");
+  EXPECT_EQ(painted("a warning, [1, 2] and #5 in [a.py:3]"), "a warning, [1, 2] and #5 in [a.py:3]");
 }
 
 }  // namespace

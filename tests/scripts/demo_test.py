@@ -4,6 +4,7 @@
 import json
 import pathlib
 import signal
+import struct
 import subprocess
 import sys
 
@@ -26,8 +27,10 @@ class Demo(ProgramCase):
         r = self.demo("--steps 20", 0, f"in {self.run_dir}", "train quickstart ")
         self.assertRegex(r.out, r"\Ademo: miou_present=\S+ total_accuracy=\S+ psnr=\S+ absrel=\S+ train_s=\S+ "
                          r"report=runs/demo/report.html\n\Z")
-        for made in ("report.html", "mesh.ply", "mesh.glb", "render/test"):
+        for made in ("first_look.png", "report.html", "mesh.ply", "mesh.glb", "render/test"):
             self.assertTrue((self.run_dir / made).exists(), made)
+        self.assertEqual(struct.unpack(">II", (self.run_dir / "first_look.png").read_bytes()[16:24]), (84, 64))
+        self.has(r.err, "Look at runs/demo/first_look.png first", " eval runs/demo ")
         # The next one takes the place of its own run alone, and only when its words are right.
         before = (self.run_dir / "run.yaml").read_text()
         for words in ("--steps x", "--time x"):

@@ -383,7 +383,7 @@ double end_s(const RunConfig& config) {
 
 std::string length_text(const RunConfig& config) {
   const std::int64_t end = last_step(config);
-  return end > 0 ? fmt::format("{} steps", end) : fmt::format("{:.6g} s of training", end_s(config));
+  return end > 0 ? fmt::format("{} steps", end) : fmt::format("{:.0f} s of training", end_s(config));
 }
 
 void ask(RunConfig& config, const AskedLength& asked) {
