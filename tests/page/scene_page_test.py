@@ -188,13 +188,12 @@ def look(driver, path, page):
     assert view.run("return semfield.camera.matrices().eye") != before, "a drag turns"
     view.click("#inside")
     view.wait("document.getElementById('inside').getAttribute('aria-pressed') === 'true'")
-    view.size(390, 844)
-    view.touch(True)
+    view.size(390, 844, is_phone=True)
     view.wait("canvas.clientWidth === 390")
     assert view.run("return document.documentElement.scrollWidth") <= 390
     view.run("semfield.points = []; semfield.changed()")
     view.wait("(({innerText}) => innerText.includes('Tap a point') && !innerText.includes('drag to move'))(document.getElementById('hint'))", "hints for fingers")
-    view.touch(False)
+    view.size(390, 844)
     assert view.complaints() == [], view.complaints()
     driver.give_back(view)
 
