@@ -10,6 +10,7 @@ Training continues.
 """
 import argparse
 import http.client
+import itertools
 import json
 import random
 import re
@@ -83,15 +84,26 @@ class Page:
                 return
             time.sleep(0.2)
 
-    def labels(self, view, client, full=False):
-        """[H, W] index of the class, -1 for none."""
+    def picture(self, view, client, full=False):
+        """Palette PNG of the labels, whose index 0 is none; None where a later request has replaced this one."""
         data = self.request("/picture", {"client": client, "view": view, "labels": True, "full": full})
         parts = []
         while data:
             size = struct.unpack_from("<I", data)[0]
             parts.append(data[4:4 + size])
             data = data[4 + size:]
-        return None if json.loads(parts[0])["stale"] else png_values(parts[2]) - 1
+        return None if json.loads(parts[0])["stale"] else parts[2]
+
+    def labels(self, view, client, full=False):
+        """[H, W] index of the class, -1 for none."""
+        png = self.picture(view, client, full)
+        return None if png is None else png_values(png) - 1
+
+    def learn(self):
+        """Until labels have learned every event."""
+        revision = 0
+        while (state := self.state(revision))["overlay"]["events"] < state["events"]:
+            revision = state["revision"]
 
     def close(self):
         self.process.terminate()
@@ -104,14 +116,13 @@ def miou(confusion):
     return float(np.mean((hit / np.maximum(truth + confusion[:, :-1].sum(0) - hit, 1))[truth > 0]))
 
 
-def course(page, truth, question, seed, clicks):
-    """(mIoU by number of clicks, milliseconds of each answer, classes that have a click)."""
+def clicks_of(page, truth, question, seed):
+    """Names one pixel after the other; of each click its class and the milliseconds until it was shown."""
     state = page.state()
-    index_of = {c["id"]: c["index"] for c in state["classes"]}
     name_of = {c["id"]: c["name"] for c in state["classes"]}
     views = [v for v in state["views"] if not v["held_out"]]
-    draw, scores, answers, named, events = random.Random(seed), {}, [], set(), state["events"]
-    while len(answers) < clicks:
+    draw, events = random.Random(seed), state["events"]
+    while True:
         proposal = state["proposal"] if question == "surface" else None
         if proposal:
             view, (x, y) = proposal["view"], proposal["at"]
@@ -123,23 +134,25 @@ def course(page, truth, question, seed, clicks):
         event = {"id": f"p-{seed}-{events}", "frame": known["frame"], "size": [known["width"], known["height"]],
                  "points": [[x, y]]}
         begin, events = time.perf_counter(), events + 1
-        if id_ not in name_of:
+        if id_ in name_of:
+            page.request("/event", {**event, "type": "click", "radius": 0, "class": name_of[id_]})
+            page.learn()
+            page.labels(view, "person")
+            yield id_, 1e3 * (time.perf_counter() - begin)
+        else:
             page.request("/event", {**event, "type": "skip"})
-            state = page.state()
-            continue
-        page.request("/event", {**event, "type": "click", "radius": 0, "class": name_of[id_]})
-        revision = 0
-        while True:
-            state = page.state(revision)
-            revision = state["revision"]
-            if state["overlay"]["events"] >= state["events"]:
-                break
-        page.labels(view, "person")
-        answers.append(1e3 * (time.perf_counter() - begin))
+        state = page.state()
+
+
+def course(page, truth, question, seed, clicks):
+    """(mIoU by number of clicks, milliseconds of each answer, classes that have a click)."""
+    index_of = {c["id"]: c["index"] for c in page.state()["classes"]}
+    scores, answers, named = {}, [], set()
+    for id_, took in itertools.islice(clicks_of(page, truth, question, seed), clicks):
+        answers.append(took)
         named.add(id_)
         if len(answers) in MARKS or len(answers) == clicks:
             scores[len(answers)] = held_out_miou(page, truth, index_of)
-        state = page.state()
     return scores, answers, len(named)
 
 
