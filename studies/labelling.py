@@ -9,6 +9,7 @@ the truth, by the page's own requests: the place that the page proposes (`surfac
 Training continues.
 """
 import argparse
+import contextlib
 import http.client
 import itertools
 import json
@@ -61,6 +62,14 @@ class Page:
             sys.exit(f"labelling: {path} was answered by {answer.status}: {data[:300]!r}")
         return data
 
+    def parts(self, path, body):
+        data, found = self.request(path, body), []
+        while data:
+            size = struct.unpack_from("<I", data)[0]
+            found.append(data[4:4 + size])
+            data = data[4 + size:]
+        return found
+
     def state(self, after=0):
         """All of it; with `after` once there is news, which is what the answer has."""
         news = json.loads(self.request(f"/state?after={after}"))
@@ -86,13 +95,8 @@ class Page:
 
     def picture(self, view, client, full=False):
         """Palette PNG of the labels, whose index 0 is none; None where a later request has replaced this one."""
-        data = self.request("/picture", {"client": client, "view": view, "labels": True, "full": full})
-        parts = []
-        while data:
-            size = struct.unpack_from("<I", data)[0]
-            parts.append(data[4:4 + size])
-            data = data[4 + size:]
-        return None if json.loads(parts[0])["stale"] else parts[2]
+        head, _, png, _ = self.parts("/picture", {"client": client, "view": view, "labels": True, "full": full})
+        return None if json.loads(head)["stale"] else png
 
     def labels(self, view, client, full=False):
         """[H, W] index of the class, -1 for none."""
@@ -114,6 +118,12 @@ def miou(confusion):
     """Over classes that are there in truth; [K, K + 1] pixels, row = truth, last column = no label."""
     hit, truth = np.diag(confusion), confusion.sum(1)
     return float(np.mean((hit / np.maximum(truth + confusion[:, :-1].sum(0) - hit, 1))[truth > 0]))
+
+
+def truth_of(config, pairs):
+    """{frame: [H, W] class ids} of the frames that have labels."""
+    with sf.open(config, settings(pairs)) as run:
+        return {f.name: labels for f in run.frames if (labels := run.pixels(f.name).labels) is not None}
 
 
 def clicks_of(page, truth, question, seed):
@@ -194,8 +204,7 @@ def main():
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = p.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the served run ends too
-    with sf.open(options.config, settings(options.set)) as run:
-        truth = {f.name: labels for f in run.frames if (labels := run.pixels(f.name).labels) is not None}
+    truth = truth_of(options.config, options.set)
     rows = {}
     for question in options.questions.split(","):
         for seed in range(1, options.seeds + 1):
@@ -203,13 +212,10 @@ def main():
             for setting in [*options.set, "scene.labels.frames=none", f"runtime.seed={seed}"]:
                 words += ["--set", setting]
             with tempfile.TemporaryDirectory() as folder:
-                page = Page(options.config, folder, words)
-                try:
+                with contextlib.closing(Page(options.config, folder, words)) as page:
                     page.wait_for_geometry(options.geometry)
                     found = course(page, truth, question, seed, options.clicks)
                     rows.setdefault(question, []).append(found)
-                finally:
-                    page.close()
     marks = sorted({m for found in rows.values() for scores, _, _ in found for m in scores})
     answers = [ms for found in rows.values() for _, times, _ in found for ms in times]
     cells = []
