@@ -39,13 +39,11 @@ class Page:
 
     def __init__(self, config, folder, words):
         self.process = subprocess.Popen([program(), "serve", config, "--out", f"{folder}/run", *words],
-                                        stdout=subprocess.PIPE,
-                                        stderr=subprocess.STDOUT, text=True)
+                                        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         said = ""
         for line in self.process.stdout:
             said += line
-            found = re.search(r"http://[\d.]+:\d+/\S+", line)
-            if found:
+            if found := re.search(r"http://[\d.]+:\d+/\S+", line):
                 self.url = urllib.parse.urlsplit(found.group(0))
                 threading.Thread(target=self.process.stdout.read, daemon=True).start()
                 return
@@ -139,10 +137,9 @@ def clicks_of(page, truth, question, seed):
         else:
             view = draw.randrange(len(views))
             x, y = draw.randrange(views[view]["width"]) + 0.5, draw.randrange(views[view]["height"]) + 0.5
-        known = views[view]
-        id_ = int(truth[known["frame"]][int(y), int(x)])
-        event = {"id": f"p-{seed}-{events}", "frame": known["frame"], "size": [known["width"], known["height"]],
-                 "points": [[x, y]]}
+        frame, size = views[view]["frame"], [views[view]["width"], views[view]["height"]]
+        id_ = int(truth[frame][int(y), int(x)])
+        event = {"id": f"p-{seed}-{events}", "frame": frame, "size": size, "points": [[x, y]]}
         begin, events = time.perf_counter(), events + 1
         if id_ in name_of:
             page.request("/event", {**event, "type": "click", "radius": 0, "class": name_of[id_]})
@@ -171,9 +168,8 @@ def held_out_miou(page, truth, index_of):
     for number, view in enumerate(page.state()["views"]):
         if not view["held_out"]:
             continue
-        found = None
-        while found is None:
-            found = page.labels(number, "score", full=True)
+        while (found := page.labels(number, "score", full=True)) is None:
+            pass
         ids = truth[view["frame"]]
         ids = ids[:: ids.shape[0] // found.shape[0], :: ids.shape[1] // found.shape[1]]
         for id_, index in index_of.items():
@@ -214,8 +210,7 @@ def main():
             with tempfile.TemporaryDirectory() as folder:
                 with contextlib.closing(Page(options.config, folder, words)) as page:
                     page.wait_for_geometry(options.geometry)
-                    found = course(page, truth, question, seed, options.clicks)
-                    rows.setdefault(question, []).append(found)
+                    rows.setdefault(question, []).append(course(page, truth, question, seed, options.clicks))
     marks = sorted({m for found in rows.values() for scores, _, _ in found for m in scores})
     answers = [ms for found in rows.values() for _, times, _ in found for ms in times]
     cells = []
