@@ -98,8 +98,7 @@ class Page:
 
     def labels(self, view, client, full=False):
         """[H, W] index of the class, -1 for none."""
-        png = self.picture(view, client, full)
-        return None if png is None else png_values(png) - 1
+        return png_values(png) - 1 if (png := self.picture(view, client, full)) else None
 
     def learn(self):
         """Until labels have learned every event."""

@@ -166,9 +166,8 @@ def main():
     words = [word for setting in options.set for word in ("--set", setting)]
     with tempfile.TemporaryDirectory() as folder, sf.open(options.config, settings(options.set)) as run:
         truth_of = truths(run, options, words, f"{folder}/truth")
-        segments = ["--segments", options.segments] if options.segments else []
-        words_of_page = [*words, *segments, "--set", "scene.labels.frames=none"]
-        with contextlib.closing(Page(options.config, folder, words_of_page)) as page:
+        more = ["--segments", options.segments] if options.segments else []
+        with contextlib.closing(Page(options.config, folder, [*words, *more, "--set", "scene.labels.frames=none"])) as page:
             page.wait_for_geometry(options.geometry)
             cases = []
             for number, view in enumerate(page.state()["views"]):
