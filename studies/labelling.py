@@ -9,7 +9,9 @@ the truth, by the page's own requests: the place that the page proposes (`surfac
 Training continues.
 """
 import argparse
+import contextlib
 import http.client
+import itertools
 import json
 import random
 import re
@@ -37,13 +39,11 @@ class Page:
 
     def __init__(self, config, folder, words):
         self.process = subprocess.Popen([program(), "serve", config, "--out", f"{folder}/run", *words],
-                                        stdout=subprocess.PIPE,
-                                        stderr=subprocess.STDOUT, text=True)
+                                        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         said = ""
         for line in self.process.stdout:
             said += line
-            found = re.search(r"http://[\d.]+:\d+/\S+", line)
-            if found:
+            if found := re.search(r"http://[\d.]+:\d+/\S+", line):
                 self.url = urllib.parse.urlsplit(found.group(0))
                 threading.Thread(target=self.process.stdout.read, daemon=True).start()
                 return
@@ -59,6 +59,14 @@ class Page:
         if answer.status != 200:
             sys.exit(f"labelling: {path} was answered by {answer.status}: {data[:300]!r}")
         return data
+
+    def parts(self, path, body):
+        data, found = self.request(path, body), []
+        while data:
+            size = struct.unpack_from("<I", data)[0]
+            found.append(data[4:4 + size])
+            data = data[4 + size:]
+        return found
 
     def state(self, after=0):
         """All of it; with `after` once there is news, which is what the answer has."""
@@ -83,15 +91,20 @@ class Page:
                 return
             time.sleep(0.2)
 
+    def picture(self, view, client, full=False):
+        """Palette PNG of the labels, whose index 0 is none; None where a later request has replaced this one."""
+        head, _, png, _ = self.parts("/picture", {"client": client, "view": view, "labels": True, "full": full})
+        return None if json.loads(head)["stale"] else png
+
     def labels(self, view, client, full=False):
         """[H, W] index of the class, -1 for none."""
-        data = self.request("/picture", {"client": client, "view": view, "labels": True, "full": full})
-        parts = []
-        while data:
-            size = struct.unpack_from("<I", data)[0]
-            parts.append(data[4:4 + size])
-            data = data[4 + size:]
-        return None if json.loads(parts[0])["stale"] else png_values(parts[2]) - 1
+        return png_values(png) - 1 if (png := self.picture(view, client, full)) else None
+
+    def learn(self):
+        """Until labels have learned every event."""
+        revision = 0
+        while (state := self.state(revision))["overlay"]["events"] < state["events"]:
+            revision = state["revision"]
 
     def close(self):
         self.process.terminate()
@@ -104,42 +117,48 @@ def miou(confusion):
     return float(np.mean((hit / np.maximum(truth + confusion[:, :-1].sum(0) - hit, 1))[truth > 0]))
 
 
-def course(page, truth, question, seed, clicks):
-    """(mIoU by number of clicks, milliseconds of each answer, classes that have a click)."""
+def truth_of(config, pairs):
+    """{frame: [H, W] class ids} of the frames that have labels."""
+    with sf.open(config, settings(pairs)) as run:
+        return {f.name: labels for f in run.frames if (labels := run.pixels(f.name).labels) is not None}
+
+
+def clicks_of(page, truth, question, seed):
+    """Names one pixel after the other; of each click its class and the milliseconds until it was shown."""
     state = page.state()
-    index_of = {c["id"]: c["index"] for c in state["classes"]}
     name_of = {c["id"]: c["name"] for c in state["classes"]}
     views = [v for v in state["views"] if not v["held_out"]]
-    draw, scores, answers, named, events = random.Random(seed), {}, [], set(), state["events"]
-    while len(answers) < clicks:
+    draw, events = random.Random(seed), state["events"]
+    while True:
         proposal = state["proposal"] if question == "surface" else None
         if proposal:
             view, (x, y) = proposal["view"], proposal["at"]
         else:
             view = draw.randrange(len(views))
             x, y = draw.randrange(views[view]["width"]) + 0.5, draw.randrange(views[view]["height"]) + 0.5
-        known = views[view]
-        id_ = int(truth[known["frame"]][int(y), int(x)])
-        event = {"id": f"p-{seed}-{events}", "frame": known["frame"], "size": [known["width"], known["height"]],
-                 "points": [[x, y]]}
+        frame, size = views[view]["frame"], [views[view]["width"], views[view]["height"]]
+        id_ = int(truth[frame][int(y), int(x)])
+        event = {"id": f"p-{seed}-{events}", "frame": frame, "size": size, "points": [[x, y]]}
         begin, events = time.perf_counter(), events + 1
-        if id_ not in name_of:
+        if id_ in name_of:
+            page.request("/event", {**event, "type": "click", "radius": 0, "class": name_of[id_]})
+            page.learn()
+            page.labels(view, "person")
+            yield id_, 1e3 * (time.perf_counter() - begin)
+        else:
             page.request("/event", {**event, "type": "skip"})
-            state = page.state()
-            continue
-        page.request("/event", {**event, "type": "click", "radius": 0, "class": name_of[id_]})
-        revision = 0
-        while True:
-            state = page.state(revision)
-            revision = state["revision"]
-            if state["overlay"]["events"] >= state["events"]:
-                break
-        page.labels(view, "person")
-        answers.append(1e3 * (time.perf_counter() - begin))
+        state = page.state()
+
+
+def course(page, truth, question, seed, clicks):
+    """(mIoU by number of clicks, milliseconds of each answer, classes that have a click)."""
+    index_of = {c["id"]: c["index"] for c in page.state()["classes"]}
+    scores, answers, named = {}, [], set()
+    for id_, took in itertools.islice(clicks_of(page, truth, question, seed), clicks):
+        answers.append(took)
         named.add(id_)
         if len(answers) in MARKS or len(answers) == clicks:
             scores[len(answers)] = held_out_miou(page, truth, index_of)
-        state = page.state()
     return scores, answers, len(named)
 
 
@@ -148,9 +167,8 @@ def held_out_miou(page, truth, index_of):
     for number, view in enumerate(page.state()["views"]):
         if not view["held_out"]:
             continue
-        found = None
-        while found is None:
-            found = page.labels(number, "score", full=True)
+        while (found := page.labels(number, "score", full=True)) is None:
+            pass
         ids = truth[view["frame"]]
         ids = ids[:: ids.shape[0] // found.shape[0], :: ids.shape[1] // found.shape[1]]
         for id_, index in index_of.items():
@@ -181,8 +199,7 @@ def main():
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = p.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the served run ends too
-    with sf.open(options.config, settings(options.set)) as run:
-        truth = {f.name: labels for f in run.frames if (labels := run.pixels(f.name).labels) is not None}
+    truth = truth_of(options.config, options.set)
     rows = {}
     for question in options.questions.split(","):
         for seed in range(1, options.seeds + 1):
@@ -190,13 +207,9 @@ def main():
             for setting in [*options.set, "scene.labels.frames=none", f"runtime.seed={seed}"]:
                 words += ["--set", setting]
             with tempfile.TemporaryDirectory() as folder:
-                page = Page(options.config, folder, words)
-                try:
+                with contextlib.closing(Page(options.config, folder, words)) as page:
                     page.wait_for_geometry(options.geometry)
-                    found = course(page, truth, question, seed, options.clicks)
-                    rows.setdefault(question, []).append(found)
-                finally:
-                    page.close()
+                    rows.setdefault(question, []).append(course(page, truth, question, seed, options.clicks))
     marks = sorted({m for found in rows.values() for scores, _, _ in found for m in scores})
     answers = [ms for found in rows.values() for _, times, _ in found for ms in times]
     cells = []

@@ -9,12 +9,12 @@ of the levels that two turns of the wheel reach after one click. Training contin
 serve as truth alone: the page knows those of --segments.
 """
 import argparse
+import contextlib
 import json
 import pathlib
 import random
 import signal
 import statistics
-import struct
 import subprocess
 import sys
 import tempfile
@@ -93,11 +93,10 @@ class Person:
 
     def thing(self, view, also, without, level):
         begin = time.perf_counter()
-        data = self.page.request("/thing", {"client": "person", "view": view, "also": also, "not": without,
-                                            "level": level})
+        facts, mask = self.page.parts("/thing", {"client": "person", "view": view, "also": also, "not": without,
+                                                 "level": level})
         self.answers.append(1e3 * (time.perf_counter() - begin))
-        size = struct.unpack_from("<I", data)[0]
-        return json.loads(data[4:4 + size]), png_values(data[8 + size:]) > 0
+        return json.loads(facts), png_values(mask) > 0
 
     def course(self, view, truth, instance):
         """IoU after each of three clicks, and the best within two turns of the wheel."""
@@ -167,9 +166,8 @@ def main():
     words = [word for setting in options.set for word in ("--set", setting)]
     with tempfile.TemporaryDirectory() as folder, sf.open(options.config, settings(options.set)) as run:
         truth_of = truths(run, options, words, f"{folder}/truth")
-        segments = ["--segments", options.segments] if options.segments else []
-        page = Page(options.config, folder, [*words, *segments, "--set", "scene.labels.frames=none"])
-        try:
+        more = ["--segments", options.segments] if options.segments else []
+        with contextlib.closing(Page(options.config, folder, [*words, *more, "--set", "scene.labels.frames=none"])) as page:
             page.wait_for_geometry(options.geometry)
             cases = []
             for number, view in enumerate(page.state()["views"]):
@@ -189,8 +187,6 @@ def main():
                 if view != seen:
                     firsts.append(person.answers[before])
                 seen = view
-        finally:
-            page.close()
         wrong = miscounted(run, options, words, truth_of, folder)
     medians = [statistics.median(row[click] for row in rows) for click in range(3)]
     print(table(["", "1 click", "2 clicks", "3 clicks", "1 click and the wheel"],

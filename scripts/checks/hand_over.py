@@ -1,5 +1,4 @@
 """What a run hands over to other programs, and its pages in browsers."""
-import base64
 import contextlib
 import json
 import math
@@ -82,24 +81,6 @@ def opened(run):
             return True
         time.sleep(0.2)
     return False
-
-
-def mesh_picture(page: "of `semfield mesh RUN --out PAGE.html`", out: "OUT.png", *,
-                 modes: "side by side: of photo, class, object, with commas" = "photo",
-                 size: "width and height, pixels" = (560, 440)):
-    """Draws a mesh from outside, in the colours of the page that shows it: a picture for a page of the documents. It
-needs chromium and chromium-driver."""
-    with browser.Driver() as driver, common.work_folder() as folder:
-        window = driver.browser(*size)
-        window.open(page.resolve().as_uri())
-        window.wait("document.body.dataset.state === 'ready'", "no picture", 60)
-        inputs = []
-        for mode in modes.split(","):
-            data = window.run("semfield.set(semfield, {mode: arguments[0]}); semfield.draw(); return semfield.canvas.toDataURL();", mode)
-            inputs += ["-i", folder / f"{mode}.png"]
-            inputs[-1].write_bytes(base64.b64decode(data.partition(",")[2]))
-        joined = ["-filter_complex", f"hstack=inputs={len(inputs) // 2}"] if len(inputs) > 2 else []
-        common.run("ffmpeg", "-v", "error", "-y", *inputs, *joined, out)
 
 
 PHONE, PAPER_PX = (390, 844), round((210 - 2 * 12) / 25.4 * 96)  # A4 less the margins of report.css

@@ -171,10 +171,16 @@ def check(root, pages):
     index = "docs/index.md"
     listed = {resolve(index, link) for link in links_of(pages.get(index, "").partition("\n## All pages\n")[2])}
     faults += [f"{index}: lists no {page} under 'All pages'" for page in pages if listed and page not in listed and (page.startswith("docs/") or "/" not in page)]
+    made, book = "", os.path.join(root, "docs/images/made.json")
+    if os.path.exists(book):
+        with open(book, encoding="utf-8") as file:
+            made = file.read()
     for where, _, names in os.walk(os.path.join(root, "docs")):
         for file in (resolve("", os.path.relpath(os.path.join(where, name), root)) for name in names):
             if not file.endswith((".md", ".css")) and file not in reached:
                 faults.append(f"{file}: no page links to it")
+            if file.endswith((".jpg", ".png", ".gif")) and f'"{os.path.basename(file)}"' not in made:
+                faults.append(f"{file}: scripts/pictures did not make it")
             if file.endswith(".css"):
                 with open(os.path.join(root, file), encoding="utf-8") as sheet:
                     faults += [f"{file}: {address}: is loaded from another host" for address in LOADED.findall(sheet.read())]

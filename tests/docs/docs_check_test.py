@@ -69,6 +69,7 @@ for text, sentence in [
 ]:
     expect(f"{PAGE}\n{text}\n", 1, sentence, links_broken=1)
 expect(PAGE, 1, f"{DOCS}/images/b.svg: no page links to it", {f"{DOCS}/images/b.svg": "<svg/>\n"})
+expect(PAGE + "![drawn](images/b.png)\n", 1, f"{DOCS}/images/b.png: scripts/pictures did not make it", {f"{DOCS}/images/b.png": "", f"{DOCS}/images/made.json": '{"a.png": {}}'})
 expect(PAGE, 1, f"index.md: lists no {DOCS}/page.md", {f"{DOCS}/index.md": "# Index\n\n## All pages\n\n[more](more.md) [index](index.md) [readme](../README.md)\n"})
 expect(PAGE, 1, f"{DOCS}/site.css: https://example.org/a.png: is loaded from another host", {f"{DOCS}/site.css": "a { background: url(https://example.org/a.png) }\n"})
 expect(PAGE, 1, "evidence/rows.json: has no commit", {f"{DOCS}/evidence/rows.json": json.dumps([{**ROW, "commit": None}])})
@@ -83,4 +84,4 @@ with tempfile.TemporaryDirectory(prefix="data of ") as folder:
         text = make_pages.filled(folder, f"before\n<!-- {mark} -->\nafter\n")
         if row not in text or "<!--" in text:
             sys.exit(f"expected '{row}' of {mark}, got\n{text}")
-print("36 repositories and tables")
+print("37 repositories and tables")
