@@ -218,13 +218,13 @@ double sure(const LabelLoop& loop) {
   return sum / static_cast<double>(loop.pool().points.size());
 }
 
-// Every third click is wrong: probabilities near 1 are too sure then, and the temperature says so.
+// Every second click is wrong: probabilities near 1 are too sure then, and the temperature says so.
 TEST(LabelLoop, TheTemperatureAnswersOverConfidence) {
   LoopedRoom room;
   LabelLoop& loop = *room.loop;
   const std::vector<LabelledPixels> right = room.clicks(40);
   std::vector<LabelledPixels> wrong = right;
-  for (std::size_t k = 0; k < wrong.size(); k += 3)
+  for (std::size_t k = 0; k < wrong.size(); k += 2)
     wrong[k].class_index = static_cast<std::int16_t>((wrong[k].class_index + 1 + k % 4) % 5);
   loop.learn(wrong);
   const std::uint32_t bits = room.bits();
