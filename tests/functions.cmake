@@ -38,13 +38,14 @@ function(semfield_add_test)
   gtest_discover_tests(${ARG_NAME} NO_PRETTY_VALUES DISCOVERY_TIMEOUT 60 PROPERTIES ${properties})
 endfunction()
 
-# semfield_add_program_test(NAME FILE.py [NAME=VALUE ...]): a test in Python that runs the program (tests/program.py), with these in its environment.
+# semfield_add_program_test(NAME FILE.py [NAME=VALUE ...]): a test in Python that runs the program (by tests/program.py, which it finds), with these
+# in its environment.
 function(semfield_add_program_test name file)
   find_package(Python3 COMPONENTS Interpreter)
   if(Python3_Interpreter_FOUND)
     add_test(NAME ${name} COMMAND ${Python3_EXECUTABLE} -B ${CMAKE_CURRENT_SOURCE_DIR}/${file})
     set_tests_properties(${name} PROPERTIES TIMEOUT 3600 SKIP_RETURN_CODE 77 ENVIRONMENT
-      "SEMFIELD_BINARY=$<TARGET_FILE:semfield_app>;SEMFIELD_ANALYTIC_ROOM=$<TARGET_FILE:semfield_analytic_room>;SEMFIELD_CACHE=off;OMP_WAIT_POLICY=passive;CUDA_VISIBLE_DEVICES=;${ARGN}")
+      "PYTHONPATH=${PROJECT_SOURCE_DIR}/tests;SEMFIELD_BINARY=$<TARGET_FILE:semfield_app>;SEMFIELD_ANALYTIC_ROOM=$<TARGET_FILE:semfield_analytic_room>;SEMFIELD_CACHE=off;OMP_WAIT_POLICY=passive;CUDA_VISIBLE_DEVICES=;${ARGN}")
   else()
     message(WARNING "${name} is not tested: python3 is not here")
   endif()

@@ -1,4 +1,4 @@
-"""The program as tests run it, each in a folder of its own, and a room to give it."""
+"""The program as tests run it, each in a folder of its own, and a room to give it. They take the modules that this file imports along with it."""
 
 import collections
 import fcntl

@@ -123,7 +123,7 @@ def run_test(build, program, cases, **settings):
     words = [sys.executable, common.ROOT / "tests" / program, "-k", cases]
     settings = {"BINARY": build / "bin/semfield", "ANALYTIC_ROOM": room,
                 "FAULT_SHIM": build / "tests/crash/libsemfield_fault_shim.so", "CACHE": "off", **settings}
-    environment = {**os.environ, **{f"SEMFIELD_{key}": str(value) for key, value in settings.items()}}
+    environment = {**os.environ, "PYTHONPATH": str(common.ROOT / "tests"), **{f"SEMFIELD_{key}": str(value) for key, value in settings.items()}}
     return subprocess.run(["nice", *words], env=environment).returncode
 
 

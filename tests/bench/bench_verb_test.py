@@ -1,11 +1,6 @@
 #!/usr/bin/env python3
 """`semfield bench step` on narrow networks: its words and its table."""
 
-import json
-import pathlib
-import sys
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 TINY = "-q bench step --size tiny --repeats 1"

@@ -2,13 +2,8 @@
 """`semfield prepare` with the true ffmpeg, where it is installed, and a program that stands for COLMAP and finds nothing. With one that
 stands for ffmpeg too: tests/bad_files/capture.cases."""
 
-import pathlib
 import shutil
-import subprocess
-import sys
-import unittest
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 

@@ -2,18 +2,12 @@
 """The command line's words, what verbs print as JSON, completions in their shells, the
 manual page, settings' names."""
 
-import json
-import os
-import pathlib
 import re
 import shutil
-import signal
-import subprocess
-import sys
+
+from program import *
 
 HERE = pathlib.Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-from program import *
 
 
 class WordsCase(ProgramCase):

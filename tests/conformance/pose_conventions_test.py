@@ -1,12 +1,8 @@
 #!/usr/bin/env python3
 """Files whose poses keep another convention than their dataset expects: named, with keys that mend them."""
 
-import json
-import pathlib
 import re
-import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 

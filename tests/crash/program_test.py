@@ -4,18 +4,8 @@ its file calls. A run that is gone on with ends in the bits of the run left alon
 that plans faults, SEMFIELD_SANITIZE the sanitizers of the build."""
 
 import errno
-import os
-import pathlib
-import shlex
 import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-import time
-import unittest
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 STEPS = 80

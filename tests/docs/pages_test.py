@@ -4,16 +4,9 @@ takes; configurations are read. docs_check.py looks at links and words.
 
 SEMFIELD_DOCS names the folder with the pages that the build makes."""
 
-import collections
-import functools
-import os
-import pathlib
 import re
 import shutil
-import sys
-import unittest
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 BUILT = pathlib.Path(os.environ["SEMFIELD_DOCS"])

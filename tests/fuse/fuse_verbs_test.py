@@ -2,13 +2,6 @@
 """`semfield labels fuse` and `semfield labels propagate` as a user runs them: lines, JSON, maps, files that train again, the same
 bytes for any threads, refusals."""
 
-import json
-import os
-import pathlib
-import subprocess
-import sys
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 CLICKS = "--set 'scene.labels.degrade=[{type: propagation}]'"

@@ -1,11 +1,6 @@
 #!/usr/bin/env python3
 """`semfield labels degrade` on a tiny room, of which frames 0, 2 and 4 train; what it wrote is read back."""
 
-import json
-import pathlib
-import sys
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 

@@ -3,14 +3,8 @@
 program renders. `render` shows pixels as stored; what is exported for tools, and what degrade writes, is as viewers
 show the photographs, which an EXIF orientation turns."""
 
-import json
-import pathlib
 import shutil
-import struct
-import sys
-import zlib
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 TURNS = (1, 3, 6, 8, 5, 7)  # of the room's photographs, 40 x 30 pixels

@@ -1,17 +1,8 @@
 #!/usr/bin/env python3
 """`mesh`, `render` and `eval` of one short run as a user runs them, read back by other programs."""
 
-import json
-import os
-import pathlib
 import shutil
-import struct
-import subprocess
-import sys
-import tempfile
-import unittest
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 HAS_FFMPEG = shutil.which("ffmpeg") is not None and shutil.which("ffprobe") is not None

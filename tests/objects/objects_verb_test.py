@@ -1,16 +1,8 @@
 #!/usr/bin/env python3
 """`semfield objects` as a user runs it: files, figures, segments of a folder, things that a person clicks, refusals."""
 
-import fcntl
-import json
-import os
-import pathlib
 import shutil
-import struct
-import subprocess
-import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 QUICK = "--set objects.steps=150 --set objects.points=3000 --set objects.rays=20000"

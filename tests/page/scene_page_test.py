@@ -16,10 +16,8 @@ import zlib
 
 import browser
 import live_view
-
-sys.path[1:1] = [str(pathlib.Path(__file__).resolve().parents[1] / folder) for folder in (".", "handover")]
-import ply  # noqa: E402
-from program import PROGRAM, SOURCE  # noqa: E402
+from handover import ply
+from program import PROGRAM, SOURCE
 
 CONFIG = str(SOURCE / "configs/quickstart.yaml")
 SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}

@@ -3,17 +3,13 @@
 
 import io
 import json
-import pathlib
 import signal
 import socket
-import sys
 import zipfile
 
 import page_case
-
-sys.path[1:1] = [str(pathlib.Path(__file__).resolve().parents[1] / folder) for folder in (".", "serve")]
-from program import SOURCE, ProgramCase, png_bytes  # noqa: E402
-from serve_verb_test import Served  # noqa: E402
+from program import SOURCE, ProgramCase, png_bytes
+from serve.serve_verb_test import Served
 
 CONFIG = SOURCE / "configs/quickstart.yaml"
 SIZE = (96, 72)

@@ -2,13 +2,8 @@
 """Which modules the program runs code of: none that does not fit, and none that only a configuration names. SEMFIELD_PROBES:
 the folder of the modules."""
 
-import json
-import os
-import pathlib
 import shutil
-import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 MACHINE, CLASS, TYPE = 18, 4, 16  # bytes of an ELF header

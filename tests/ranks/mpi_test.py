@@ -2,15 +2,6 @@
 """The program under mpirun (SEMFIELD_MPIRUN): the files of one process from any number of them, and an end in order
 when one is killed. SEMFIELD_MPIRUN_RECOVERY: mpirun's flag to leave the others when one ends."""
 
-import os
-import pathlib
-import shlex
-import signal
-import sys
-import time
-import unittest
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 MPIRUN, RECOVERY = os.environ["SEMFIELD_MPIRUN"], os.environ["SEMFIELD_MPIRUN_RECOVERY"]

@@ -2,19 +2,10 @@
 """The program, killed and signalled: no run is lost and resumed ones end in the same bits; what its verbs say, on a
 terminal too."""
 
-import json
-import os
-import pathlib
 import random
 import re
 import shutil
-import signal
-import struct
-import sys
-import time
-import unittest
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 

@@ -1,14 +1,6 @@
 #!/usr/bin/env python3
 """`semfield demo`: what it leaves in an empty folder, and what it does to one that is not empty."""
 
-import json
-import pathlib
-import signal
-import struct
-import subprocess
-import sys
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 SMALL = "--set scene.test_frames=2 --set scene.width_px=40 --set scene.height_px=30"

@@ -1,13 +1,8 @@
 #!/usr/bin/env python3
 """scripts/setup with a stand-in for CMake: one line of progress, the rest in a log."""
 
-import os
-import pathlib
 import shutil
-import subprocess
-import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 STAND_INS = {

@@ -6,20 +6,11 @@ import contextlib
 import ctypes
 import http.client
 import io
-import json
-import os
-import pathlib
 import random
 import re
-import signal
-import subprocess
-import sys
 import threading
-import time
-import unittest
 import zipfile
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 HAS_PAGE = os.environ.get("SEMFIELD_PAGE", "1") == "1"

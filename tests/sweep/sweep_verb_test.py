@@ -1,17 +1,9 @@
 #!/usr/bin/env python3
 """`semfield sweep` as a program: cells in parallel, tables, going on after a kill, processes that share a folder."""
 
-import fcntl
-import json
-import os
-import pathlib
 import random
-import signal
 import socket
-import sys
-import time
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 TIMES = ("train_s", "processor_s", "peak_mb")  # what is measured of a process differs from run to run

@@ -1,13 +1,6 @@
 #!/usr/bin/env python3
 """`semfield tune` as a program: a race on a tiny room, its file, tables and page, and going on after a kill."""
 
-import json
-import pathlib
-import signal
-import sys
-import unittest
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent))
 from program import *
 
 SPACE = "axes:\n  train.rays: [16, 256]\n  rate:\n    slow: {train.adam.learning_rate: 0.0001}\n"
