@@ -1,12 +1,12 @@
 // What every verb gets from the program. Results go to stdout, sentences to stderr.
 #pragma once
 
-#include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
 
 #include "config/settings/run_config.h"
+#include "core/files.h"
 #include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "eval/metrics.h"
@@ -14,8 +14,6 @@
 #include "plugin/registry.h"
 
 namespace semfield::app {
-
-namespace fs = std::filesystem;
 
 struct AppContext : NonCopyable {
   AppContext() { work.limits = &limits; }

@@ -13,14 +13,11 @@
 #include <chrono>
 #include <csignal>
 #include <cstdlib>
-#include <filesystem>
 #include <sstream>
-#include <string_view>
 #include <thread>
 #include <utility>
 
 #include "app/signals.h"
-#include "core/files.h"
 
 namespace semfield::app {
 
@@ -37,7 +34,7 @@ int code_of(int status) { return WIFEXITED(status) ? WEXITSTATUS(status) : 128 +
 
 }  // namespace
 
-std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
+std::string own_program() { return fs::read_symlink("/proc/self/exe").string(); }
 
 pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
                   const std::function<void()>& in_child, const std::vector<char*>& environment) {
@@ -140,7 +137,7 @@ int run_logged_child(const std::vector<std::string>& words, const std::string& l
 }
 
 std::string last_line(const std::string& log_file) {
-  if (!std::filesystem::exists(log_file)) return {};
+  if (!fs::exists(log_file)) return {};
   std::string text = read_text_file(log_file);
   text.resize(text.find_last_not_of('\n') + 1);
   return text.substr(text.rfind('\n') + 1);
@@ -151,8 +148,6 @@ std::string child_failure(int status, const std::string& log_file) {
                                               : fmt::format("exit code {}", WEXITSTATUS(status));
   return fmt::format("{}: {} (see {})", how, last_line(log_file), log_file);
 }
-
-namespace fs = std::filesystem;
 
 std::string program_in_path(const std::string& name) {
   const char* const folders = std::getenv("PATH");

@@ -8,9 +8,7 @@
 #include <ctime>
 #include <functional>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <string_view>
-#include <vector>
 
 #include "app/app_context.h"
 #include "app/bench/step_case.h"

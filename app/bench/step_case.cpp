@@ -9,8 +9,6 @@
 #include "core/rng.h"
 #include "model/param_store.h"
 #include "train/assembly.h"
-#include "train/ray_source.h"
-#include "train/trainer.h"
 
 namespace semfield {
 

@@ -9,7 +9,6 @@
 
 #include "core/non_copyable.h"
 #include "plugin/registry.h"
-#include "train/ray_source.h"
 #include "train/trainer.h"
 
 namespace semfield {

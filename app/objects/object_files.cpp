@@ -8,16 +8,13 @@
 #include <cerrno>
 #include <chrono>
 #include <exception>
-#include <filesystem>
 #include <map>
 #include <thread>
 
 #include "core/checksum.h"
 #include "core/error.h"
-#include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "scene/scene.h"
 #include "surface/mesh/mesh_files.h"
 
 namespace semfield::app {
@@ -84,6 +81,28 @@ void write_points(const std::string& path, const ObjectSet& set, const ClassTabl
   write_ply(path, points, ClassTable(std::move(names)));
 }
 
+// The state of the tables in `folder`; "": there are none. Earlier versions told none: then that of `edits` where there
+// are none that the tables could lack.
+std::string tables_state(const std::string& folder, const ObjectEdits& edits) {
+  const fs::path in(folder);
+  for (const char* name : {"objects.json", "objects.csv", "objects.ply"})
+    if (!fs::is_regular_file(in / name)) return {};
+  const Json root = Json::parse(read_text_file((in / "objects.json").string()), nullptr, false);
+  if (!root.is_object()) return {};
+  const auto state = root.find("state");
+  if (state != root.end()) return state->is_string() ? state->get<std::string>() : std::string();
+  return edits.edits.empty() ? objects_state(edits) : std::string();
+}
+
+constexpr double kEditWait_s = 10;  // another edit takes a fraction of a second
+
+// A file that was written anew has another one.
+std::string stamp_of_file(const std::string& path) {
+  struct stat about {};
+  if (::stat(path.c_str(), &about) != 0) return "-";
+  return fmt::format("{}:{}:{}.{}", about.st_ino, about.st_size, about.st_mtim.tv_sec, about.st_mtim.tv_nsec);
+}
+
 }  // namespace
 
 std::string object_class_name(const ObjectRow& row, const ClassTable& classes) {
@@ -111,15 +130,15 @@ std::string objects_state(const ObjectEdits& edits) {
 
 void write_object_tables(const std::string& folder, const EditedObjects& objects, const SceneInfo& info) {
   check_object_count(objects.set.rows);
-  const std::filesystem::path in(folder);
+  const fs::path in(folder);
   write_file_atomic((in / "objects.json").string(), table_json(objects, info));
   write_file_atomic((in / "objects.csv").string(), table_csv(objects.set, info.classes));
   write_points((in / "objects.ply").string(), objects.set, info.classes);
 }
 
 std::optional<ObjectSet> objects_of_run(const std::string& run_dir, int classes) {
-  const std::filesystem::path folder = std::filesystem::path(run_dir) / "objects";
-  if (!std::filesystem::exists(folder / "found.safetensors")) return std::nullopt;
+  const fs::path folder = fs::path(run_dir) / "objects";
+  if (!fs::exists(folder / "found.safetensors")) return std::nullopt;
   ObjectSet found = read_edited_objects(folder.string(), classes).set;
   if (found.rows.empty()) return std::nullopt;
   return found;
@@ -188,32 +207,6 @@ std::string ObjectFiles::panoptic_json() const {
   }
   return json_text({{"images", images_}, {"annotations", annotations_}, {"categories", categories}}, 1) + "\n";
 }
-
-namespace {
-
-// The state of the tables in `folder`; "": there are none. Earlier versions told none: then that of `edits` where there
-// are none that the tables could lack.
-std::string tables_state(const std::string& folder, const ObjectEdits& edits) {
-  const std::filesystem::path in(folder);
-  for (const char* name : {"objects.json", "objects.csv", "objects.ply"})
-    if (!std::filesystem::is_regular_file(in / name)) return {};
-  const Json root = Json::parse(read_text_file((in / "objects.json").string()), nullptr, false);
-  if (!root.is_object()) return {};
-  const auto state = root.find("state");
-  if (state != root.end()) return state->is_string() ? state->get<std::string>() : std::string();
-  return edits.edits.empty() ? objects_state(edits) : std::string();
-}
-
-constexpr double kEditWait_s = 10;  // another edit takes a fraction of a second
-
-// A file that was written anew has another one.
-std::string stamp_of_file(const std::string& path) {
-  struct stat about {};
-  if (::stat(path.c_str(), &about) != 0) return "-";
-  return fmt::format("{}:{}:{}.{}", about.st_ino, about.st_size, about.st_mtim.tv_sec, about.st_mtim.tv_nsec);
-}
-
-}  // namespace
 
 FolderLock hold_objects(const std::string& folder, double wait_s) {
   const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(wait_s);

@@ -7,10 +7,8 @@
 #include <cmath>
 #include <cstring>
 #include <ctime>
-#include <filesystem>
 #include <new>
 #include <regex>
-#include <string_view>
 
 #include "app/objects/object_files.h"
 #include "core/error.h"
@@ -18,11 +16,8 @@
 #include "eval/report/report.h"
 #include "scene/camera_rig.h"
 #include "scene/scene.h"
-#include "surface/mesh/field_surface.h"
 #include "surface/mesh/shape/simplify.h"
 #include "surface/mesh/shape/smooth_borders.h"
-#include "surface/mesh/surface.h"
-#include "surface/objects/object_set.h"
 #include "train/run_folder.h"
 
 namespace semfield::app {
@@ -187,7 +182,7 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
                         std::optional<Vec3d> up) {
   const SceneInfo& info = session.scene.info;
   const std::vector<int> frames = session.scene.frames_of(Split::train);
-  std::filesystem::path folder = std::filesystem::path(run_dir).lexically_normal();
+  fs::path folder = fs::path(run_dir).lexically_normal();
   if (!folder.has_filename()) folder = folder.parent_path();
   ScenePage page;
   page.run = folder.filename().string();

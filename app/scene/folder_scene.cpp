@@ -7,9 +7,7 @@
 #include <array>
 #include <cctype>
 #include <cmath>
-#include <filesystem>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <tuple>
 
 #include "app/scene/inspect_report.h"
@@ -410,7 +408,7 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
     out = resize_frame(whole, camera.width_px, camera.height_px);
     hide_masked(out);
   });
-  return {static_cast<int>(info.frames.size()), static_cast<std::uint64_t>(std::filesystem::file_size(path))};
+  return {static_cast<int>(info.frames.size()), static_cast<std::uint64_t>(fs::file_size(path))};
 }
 
 namespace {

@@ -4,12 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <map>
-#include <span>
 #include <utility>
 
-#include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"
 
@@ -152,6 +149,19 @@ std::string forward_text(const LoadedScene& scene) {
 
 constexpr const char* kFromThere = "; render, and look at the mesh, from there: nothing shows it from behind";
 
+// The distance from the cameras' common focus beyond which one corner in twenty lies, in distances of the cameras from
+// it; 0 where too few corners were found again to say.
+double reach_of_surroundings(const LoadedScene& scene) {
+  constexpr std::size_t kFewestCorners = 100;
+  const SurveyPoints& c = scene.corners;
+  if (c.x.size() < kFewestCorners || !(scene.rig.distance_m > 0)) return 0;
+  std::vector<double> away;
+  for (std::size_t i = 0; i < c.x.size(); ++i) away.push_back(length(Vec3d{c.x[i], c.y[i], c.z[i]} - scene.rig.focus));
+  const auto far = away.begin() + static_cast<std::ptrdiff_t>(0.95 * static_cast<double>(away.size()));
+  std::nth_element(away.begin(), far, away.end());
+  return *far / scene.rig.distance_m;
+}
+
 }  // namespace
 
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use) {
@@ -236,23 +246,6 @@ Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, cons
   }
   return out;
 }
-
-namespace {
-
-// The distance from the cameras' common focus beyond which one corner in twenty lies, in distances of the cameras from
-// it; 0 where too few corners were found again to say.
-double reach_of_surroundings(const LoadedScene& scene) {
-  constexpr std::size_t kFewestCorners = 100;
-  const SurveyPoints& c = scene.corners;
-  if (c.x.size() < kFewestCorners || !(scene.rig.distance_m > 0)) return 0;
-  std::vector<double> away;
-  for (std::size_t i = 0; i < c.x.size(); ++i) away.push_back(length(Vec3d{c.x[i], c.y[i], c.z[i]} - scene.rig.focus));
-  const auto far = away.begin() + static_cast<std::ptrdiff_t>(0.95 * static_cast<double>(away.size()));
-  std::nth_element(away.begin(), far, away.end());
-  return *far / scene.rig.distance_m;
-}
-
-}  // namespace
 
 std::string PresetAdvice::text() const {
   const std::string set = background ? fmt::format(" with rendering.background: [{:.3g}, {:.3g}, {:.3g}]",

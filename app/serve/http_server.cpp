@@ -19,16 +19,11 @@
 #include <cstdio>
 #include <cstring>
 #include <list>
-#include <memory>
 #include <mutex>
-#include <string>
-#include <string_view>
 #include <system_error>
 #include <thread>
-#include <utility>
 
 #include "core/error.h"
-#include "core/non_copyable.h"
 #include "core/text.h"
 
 namespace semfield::app {
@@ -77,6 +72,18 @@ int listen_on(HttpOptions& options) {
               "try another --port, or see what limits this process: ulimit -n");
 }
 
+std::optional<std::string> HttpRequest::header(const std::string& name) const {
+  for (const auto& [key, value] : headers) {
+    if (key == name) return value;
+  }
+  return std::nullopt;
+}
+
+int HttpRequest::header_count(const std::string& name) const {
+  return static_cast<int>(
+      std::count_if(headers.begin(), headers.end(), [&](const auto& h) { return h.first == name; }));
+}
+
 namespace {
 
 constexpr std::size_t kMostHeadBytes = 16384;
@@ -97,22 +104,6 @@ std::string_view trimmed(std::string_view text) {
   while (!text.empty() && (text.back() == ' ' || text.back() == '\t')) text.remove_suffix(1);
   return text;
 }
-
-}  // namespace
-
-std::optional<std::string> HttpRequest::header(const std::string& name) const {
-  for (const auto& [key, value] : headers) {
-    if (key == name) return value;
-  }
-  return std::nullopt;
-}
-
-int HttpRequest::header_count(const std::string& name) const {
-  return static_cast<int>(
-      std::count_if(headers.begin(), headers.end(), [&](const auto& h) { return h.first == name; }));
-}
-
-namespace {
 
 [[noreturn]] void refuse(int status, const char* complaint) { throw HttpRefusal{status, complaint}; }
 

@@ -7,9 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <csignal>
-#include <filesystem>
 #include <map>
-#include <thread>
 
 #include "app/child_process.h"
 #include "app/serve/page_requests.h"
@@ -19,8 +17,6 @@
 #include "formats/zip_archive.h"
 
 namespace semfield::app {
-
-namespace fs = std::filesystem;
 
 namespace {
 

@@ -1,11 +1,8 @@
 #include "app/serve/page_requests.h"
 
 #include <algorithm>
-#include <cmath>
 #include <numbers>
-#include <string>
 
-#include "core/error.h"
 #include "labels/clicks.h"
 
 namespace semfield::app {

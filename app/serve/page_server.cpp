@@ -10,10 +10,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <chrono>
 #include <cmath>
-#include <cstdint>
-#include <filesystem>
 #include <memory>
 #include <thread>
 
@@ -24,8 +21,6 @@
 #include "core/text.h"
 
 namespace semfield::app {
-
-namespace fs = std::filesystem;
 
 std::int64_t now_ms() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch())
@@ -39,6 +34,7 @@ using Clock = std::chrono::steady_clock;
 constexpr auto kStateLook = std::chrono::milliseconds(100);  // at exports, and whether the server ends
 constexpr std::uint64_t kMostNumber = std::uint64_t{1} << 53;
 constexpr const char* kForEver = "private, max-age=31536000, immutable";
+constexpr const char* kEveryAddress = "0.0.0.0";
 
 // Shares change a little all the time; what nobody sees of that is no news.
 double rounded(double share) { return std::round(1e3 * share) / 1e3; }
@@ -118,6 +114,18 @@ Json state_json(const LabelState& s, const LabelSource& source, const std::vecto
   out["trouble"] = s.trouble;
   out["failure"] = s.failure;
   return out;
+}
+
+HttpResponse forbidden(const std::string& why) { return {403, "text/plain", why + "\n"}; }
+
+bool is_ipv4(const std::string& text) {
+  in_addr number{};
+  return inet_pton(AF_INET, text.c_str(), &number) == 1;
+}
+
+int status_of(ErrorKind kind) {
+  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
+  return kind == ErrorKind::internal ? 500 : 503;
 }
 
 }  // namespace
@@ -277,19 +285,6 @@ HttpResponse PageServer::post_export(const HttpRequest& request) {
   return json_answer({{"id", wanted.key() == "what" ? exports_.start(*word) : exports_.cancel(*word)}});
 }
 
-namespace {
-
-constexpr const char* kEveryAddress = "0.0.0.0";
-
-HttpResponse forbidden(const std::string& why) { return {403, "text/plain", why + "\n"}; }
-
-bool is_ipv4(const std::string& text) {
-  in_addr number{};
-  return inet_pton(AF_INET, text.c_str(), &number) == 1;
-}
-
-}  // namespace
-
 std::string new_token() {
   std::array<std::uint8_t, 16> bits{};
   if (getrandom(bits.data(), bits.size(), 0) != static_cast<ssize_t>(bits.size()))
@@ -325,15 +320,6 @@ std::string kept_token(const std::string& run_dir) {
   close(file);
   return token;
 }
-
-namespace {
-
-int status_of(ErrorKind kind) {
-  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
-  return kind == ErrorKind::internal ? 500 : 503;
-}
-
-}  // namespace
 
 std::string error_json(Code code, const std::string& message, const std::string& remedy) {
   return json_text({{"error", message}, {"code", code.text()}, {"remedy", remedy}});
@@ -441,7 +427,7 @@ PageFiles read_page_files(const std::string& index) {
   PageFiles files;
   std::error_code failed;
   const std::string folder = shared_file("app/serve/page");
-  for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
+  for (const auto& entry : fs::directory_iterator(folder, failed)) {
     const auto type = types.find(entry.path().extension().string());
     if (type == types.end() || !entry.is_regular_file(failed)) continue;
     files[entry.path().filename().string()] = {type->second, read_text_file(entry.path().string())};

@@ -8,8 +8,6 @@
 #include <chrono>
 #include <csignal>
 #include <cstdlib>
-#include <deque>
-#include <filesystem>
 #include <fstream>
 #include <new>
 #include <nlohmann/json.hpp>
@@ -23,15 +21,12 @@
 #include "config/config_tree.h"
 #include "config/settings/run_config.h"
 #include "core/error.h"
-#include "core/files.h"
 #include "core/process.h"
 #include "core/text.h"
 #include "eval/report/report.h"
 #include "train/run_folder.h"
 
 namespace semfield::app {
-
-namespace fs = std::filesystem;
 
 namespace {
 
@@ -85,7 +80,6 @@ bool notice_cell(EndedCells& ended, const std::string& sweep_folder, const std::
 namespace {
 
 using Clock = std::chrono::steady_clock;
-using Json = nlohmann::ordered_json;
 
 constexpr std::chrono::milliseconds kLockLook{10};   // between two attempts at a lock
 constexpr std::chrono::seconds kPatience{2};         // before the user hears of a wait

@@ -3,18 +3,12 @@
 
 #include <algorithm>
 #include <cstdio>
-#include <filesystem>
-#include <functional>
-#include <nlohmann/json.hpp>
-#include <optional>
 
-#include "app/app_context.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "config/config_tree.h"
-#include "config/params.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "eval/image_output.h"
@@ -368,8 +362,7 @@ class Exporter {
       coco_->write(options_.out);
       shapes_ = coco_->annotations();
     } else if (options_.format == "png") {
-      write_file_atomic((std::filesystem::path(options_.out) / "classes.yaml").string(),
-                        named_classes(classes()).to_yaml());
+      write_file_atomic((fs::path(options_.out) / "classes.yaml").string(), named_classes(classes()).to_yaml());
     }
   }
   int frames() const { return frames_; }
@@ -389,7 +382,7 @@ class Exporter {
     if (coco_) {
       coco_->add(frame);
     } else if (options_.format == "png") {
-      write_label_ids((std::filesystem::path(options_.out) / (output_name(frame.name) + "_label.png")).string(),
+      write_label_ids((fs::path(options_.out) / (output_name(frame.name) + "_label.png")).string(),
                       {frame.width_px, frame.height_px}, frame.label, classes());
       ++shapes_;
     } else {
@@ -466,14 +459,14 @@ struct ClassesOptions : Options {
 };
 
 ClassTable table_of(const ClassesOptions& options) {
-  const bool is_tsv = std::filesystem::path(options.in).extension() == ".tsv";
+  const bool is_tsv = fs::path(options.in).extension() == ".tsv";
   if (options.ids != "raw" && !is_tsv) {
     throw Error(ErrorKind::usage, "usage.flag.conflict",
                 "--ids " + options.ids + ": '" + options.in + "' is not a table of ScanNet",
                 "give scannetv2-labels.combined.tsv");
   }
   const std::vector<std::string> published = published_class_names();
-  const std::filesystem::path path(options.in);
+  const fs::path path(options.in);
   const bool is_word = !path.has_parent_path() && !path.has_extension() && !is_there(path);
   if (is_word || std::find(published.begin(), published.end(), options.in) != published.end())
     return published_classes(options.in);

@@ -1,12 +1,9 @@
 // init, inspect, prepare: a scene looked at, configured and made; pack, labels degrade: written in other forms.
 #include <fmt/format.h>
 
-#include <filesystem>
 #include <numeric>
-#include <optional>
 #include <set>
 
-#include "app/app_context.h"
 #include "app/child_process.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "app/app_context.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"

@@ -1,5 +1,4 @@
 // serve: label a scene in the browser while its field trains.
-#include "app/app_context.h"
 #include "app/verb.h"
 
 #ifdef SEMFIELD_WITH_SERVE
@@ -7,7 +6,6 @@
 #include <fmt/format.h>
 
 #include <chrono>
-#include <filesystem>
 #include <thread>
 
 #include "app/child_process.h"
@@ -17,7 +15,6 @@
 #include "app/terminal.h"
 #include "core/error.h"
 #include "core/files.h"
-#include "core/non_copyable.h"
 #include "core/text.h"
 #include "labels/serve/label_session.h"
 #include "train/run_folder.h"

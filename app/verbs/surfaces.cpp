@@ -2,16 +2,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cstdint>
-#include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
-#include <optional>
-#include <span>
-#include <string>
-#include <vector>
 
-#include "app/app_context.h"
 #include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
@@ -21,7 +13,6 @@
 #include "core/files.h"
 #include "core/small_math.h"
 #include "core/text.h"
-#include "eval/image_output.h"
 #include "labels/segments.h"
 #include "scene/camera_rig.h"
 #include "surface/mesh/mesh_files.h"
@@ -773,11 +764,10 @@ int run(const ObjectsOptions& options, AppContext& context) {
   if (s.config.grouping.entry == nullptr) s.config.grouping = usual_method(context.registry);
   SegmentSet segments = segments_of(options, s.scene, context);
   damage_segments(segments, s.config.segment_damage, s.config.objects.seed);
-  const std::string folder =
-      options.out.empty() ? (std::filesystem::path(options.run) / "objects").string() : options.out;
+  const std::string folder = options.out.empty() ? (fs::path(options.run) / "objects").string() : options.out;
   // From here on, so that nobody edits objects that are about to be others.
   FolderLock alone;
-  if (std::filesystem::is_directory(folder)) alone = hold_objects(folder, 0);
+  if (fs::is_directory(folder)) alone = hold_objects(folder, 0);
   ProgressLine progress(context, "objects");
   std::string stage;
   const auto show = [&](const char* part, double done, double of) {
@@ -799,7 +789,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
   EditedObjects objects;
   objects.set = object_set(found, about(options, opened, segments, found).dump());
   const ObjectSet as_found = objects.set;
-  const std::string edits_file = (std::filesystem::path(folder) / "edits.json").string();
+  const std::string edits_file = (fs::path(folder) / "edits.json").string();
   objects.edits = read_object_edits(edits_file);
   apply_edits(objects.set, objects.edits, edits_file);
   objects.edits.digest = as_found.digest();
@@ -813,7 +803,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
   if (figures) facts["score"] = figures_json(*figures, counts);
   files.finish();
   objects.set.about = facts.dump();
-  write_object_set((std::filesystem::path(folder) / "found.safetensors").string(), as_found);
+  write_object_set((fs::path(folder) / "found.safetensors").string(), as_found);
   write_object_tables(folder, objects, s.scene.info);
   const auto count =
       std::count_if(found.rows.begin(), found.rows.end(), [](const ObjectRow& row) { return row.points > 0; });

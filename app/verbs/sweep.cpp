@@ -8,18 +8,10 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <filesystem>
-#include <map>
-#include <nlohmann/json.hpp>
-#include <optional>
 #include <set>
 #include <sstream>
-#include <string>
-#include <vector>
 
-#include "app/app_context.h"
 #include "app/child_process.h"
-#include "app/scene/folder_scene.h"
 #include "app/signals.h"
 #include "app/sweep/sweep_work.h"
 #include "app/terminal.h"

@@ -1,10 +1,7 @@
 // view: look at a run in the browser, finished or still training.
-#include "app/app_context.h"
 #include "app/verb.h"
 
 #ifdef SEMFIELD_WITH_SERVE
-
-#include <fmt/format.h>
 
 #include <algorithm>
 #include <array>
@@ -13,9 +10,6 @@
 #include <cmath>
 #include <condition_variable>
 #include <exception>
-#include <filesystem>
-#include <functional>
-#include <memory>
 #include <mutex>
 #include <stdexcept>
 #include <thread>
@@ -28,7 +22,6 @@
 #include "app/serve/page_server.h"
 #include "app/signals.h"
 #include "core/error.h"
-#include "core/non_copyable.h"
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
 #include "eval/photo_edges.h"
@@ -50,8 +43,6 @@ struct ViewVerbOptions : PageVerbOptions {
 };
 
 #ifdef SEMFIELD_WITH_SERVE
-
-namespace fs = std::filesystem;
 
 constexpr std::array<long long, 3> kCells{0, 64, 256};  // of the meshes: none, which is there at once, coarse, fine
 constexpr std::array<std::int64_t, 3> kRays{0, 120'000, 3'000'000};

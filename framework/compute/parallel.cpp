@@ -2,8 +2,6 @@
 
 #include <sched.h>
 
-#include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <exception>
 #include <latch>
@@ -11,11 +9,8 @@
 #include <system_error>
 #include <thread>
 #include <utility>
-#include <vector>
 
 #include "compute/isa.h"
-#include "core/process.h"
-#include "core/workspace.h"
 
 namespace semfield {
 

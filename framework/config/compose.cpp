@@ -8,7 +8,6 @@
 #include <yaml-cpp/parser.h>
 
 #include <algorithm>
-#include <filesystem>
 #include <optional>
 #include <sstream>
 #include <system_error>
@@ -21,8 +20,6 @@
 #include "core/text.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

@@ -1,23 +1,17 @@
 #include "config/config_words.h"
 
 #include <algorithm>
-#include <cstddef>
-#include <filesystem>
 #include <iterator>
 #include <string_view>
 #include <system_error>
 #include <unordered_map>
 #include <utility>
-#include <vector>
 
 #include "config/explain.h"
-#include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

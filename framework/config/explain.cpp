@@ -13,7 +13,6 @@
 #include <utility>
 
 #include "config/config_words.h"
-#include "config/params.h"
 #include "core/check.h"
 #include "core/text.h"
 

@@ -1,11 +1,9 @@
 // Reads a map of the tree into a parameter struct, strictly, collecting every error.
 #include "config/params.h"
 
-#include <algorithm>
 #include <charconv>
 #include <optional>
 #include <system_error>
-#include <type_traits>
 #include <utility>
 
 #include "config/explain.h"

@@ -17,13 +17,10 @@
 #include <cstring>
 #include <fstream>
 #include <sstream>
-#include <utility>
 
 #include "core/text.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 
@@ -67,7 +64,7 @@ std::string write_remedy(int cause) {
 }
 
 std::string folder_of(const std::string& path) {
-  const std::filesystem::path target(path);
+  const fs::path target(path);
   return target.has_parent_path() ? target.parent_path().string() : std::string(".");
 }
 
@@ -196,7 +193,7 @@ std::uint64_t bytes_of(const fs::path& folder) {
 std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
   // Where the size is known, nothing of a file that is too large is read.
   std::error_code unknown;
-  const auto size = std::filesystem::file_size(path, unknown);
+  const auto size = fs::file_size(path, unknown);
   std::string out;
   if (unknown || size <= limit_bytes) out = read_file_start(path, limit_bytes + 1);
   if ((!unknown && size > limit_bytes) || out.size() > limit_bytes) {
@@ -275,14 +272,14 @@ void sync_folder_of(const std::string& path) {
 }
 
 void create_folders(const std::string& path) {
-  std::filesystem::path made;
-  for (const std::filesystem::path& part : std::filesystem::path(path)) {
+  fs::path made;
+  for (const fs::path& part : fs::path(path)) {
     made /= part;
     if (part.empty() || ::mkdir(made.c_str(), 0777) == 0) {
       if (part.empty()) continue;
       if (const int cause = sync_entry_of(made.string()); cause != 0)
         throw write_error("create the folder", made.string(), cause);
-    } else if (const int cause = errno; !std::filesystem::is_directory(made)) {
+    } else if (const int cause = errno; !fs::is_directory(made)) {
       throw write_error("create the folder", path, cause == EEXIST ? ENOTDIR : cause);
     }
   }
@@ -319,7 +316,7 @@ void remove_own_temporaries() noexcept {
 }
 
 AtomicFile::AtomicFile(std::string path) : path_(std::move(path)), folder_(folder_of(path_)) {
-  const std::string prefix = folder_ + "/." + std::filesystem::path(path_).filename().string() + ".";
+  const std::string prefix = folder_ + "/." + fs::path(path_).filename().string() + ".";
   for (int number = 0; number < 100; ++number) {
     const std::string name = prefix + std::to_string(number) + ".tmp";
     if (open_temporary(name)) return;
@@ -413,7 +410,7 @@ int FolderLock::take(const std::string& folder, bool may_create) {
 
 int FolderLock::take_file(const std::string& file) {
   std::error_code unknown;
-  std::filesystem::path path = std::filesystem::weakly_canonical(file, unknown);
+  fs::path path = fs::weakly_canonical(file, unknown);
   if (unknown) path = file;
   return lock(path.parent_path() / ("." + path.filename().string() + ".lock"), LOCK_EX, O_CREAT);
 }

@@ -17,6 +17,8 @@
 
 namespace semfield {
 
+namespace fs = std::filesystem;  // as all files below spell it
+
 /// What a path leads to, past links; false also where that cannot be looked at.
 inline bool is_there(const std::filesystem::path& path) {
   std::error_code ignored;

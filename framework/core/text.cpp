@@ -2,7 +2,6 @@
 #include "core/text.h"
 
 #include <algorithm>
-#include <cstdint>
 #include <iterator>
 
 #include "core/error.h"

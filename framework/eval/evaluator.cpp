@@ -15,7 +15,6 @@
 #include "core/checksum.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "eval/metrics.h"
 #include "eval/photo_edges.h"
 #include "execution/render_rays.h"
 #include "scene/classes/class_table.h"

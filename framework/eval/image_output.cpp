@@ -8,7 +8,6 @@
 
 #include "core/check.h"
 #include "core/error.h"
-#include "core/small_math.h"
 #include "formats/image_io.h"
 
 namespace semfield {

@@ -5,10 +5,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
-#include <array>
 #include <bit>
-#include <cmath>
-#include <limits>
 
 #include "compute/parallel.h"
 #include "core/check.h"

@@ -1,7 +1,6 @@
 #include "eval/photo_edges.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdlib>
 

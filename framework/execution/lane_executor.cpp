@@ -5,12 +5,10 @@
 #include <algorithm>
 #include <cstring>
 #include <numeric>
-#include <string>
 #include <utility>
 
 #include "compute/isa.h"
 #include "compute/math_functions.h"
-#include "compute/parallel.h"
 #include "core/check.h"
 #include "model/losses/semantic_cross_entropy.h"
 #include "scene/classes/class_table.h"

@@ -1,7 +1,6 @@
 #include "execution/ranks_executor.h"
 
 #include <algorithm>
-#include <cstddef>
 #include <cstdlib>
 #include <set>
 #include <type_traits>

@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "compute/isa.h"
-#include "compute/parallel.h"
 #include "core/check.h"
 #include "execution/lane_executor.h"
 #include "model/losses/semantic_cross_entropy.h"

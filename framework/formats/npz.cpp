@@ -1,16 +1,13 @@
 #include "formats/npz.h"
 
 #include <algorithm>
-#include <array>
 #include <bit>
-#include <filesystem>
 
 #include "core/error.h"
 #include "core/files.h"
 #include "core/half.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
-#include "formats/zip_archive.h"
 
 namespace semfield {
 
@@ -232,7 +229,7 @@ template <class T, class Use>
 auto with_header(const std::string& path, const AcceptShape& accept, const Use& use) {
   return naming(path, [&] {
     const std::string start = read_file_start(path, kHeadBytes);
-    return use(checked_header<T>(start, std::filesystem::file_size(path), accept));
+    return use(checked_header<T>(start, fs::file_size(path), accept));
   });
 }
 }  // namespace

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <optional>
 
-#include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"
 #include "core/workspace.h"

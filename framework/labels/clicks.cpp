@@ -5,14 +5,10 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "core/checksum.h"
-#include "core/error.h"
-#include "core/files.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"

@@ -3,19 +3,15 @@
 #include <algorithm>
 #include <cctype>
 #include <cstddef>
-#include <filesystem>
 #include <set>
 
 #include "core/files.h"
 #include "labels/label_files.h"
 #include "scene/loading/frame_files.h"
-#include "scene/scene.h"
 
 namespace semfield {
 
 namespace {
-
-namespace fs = std::filesystem;
 
 constexpr std::size_t kNamed = 4;       // pictures in a message
 constexpr std::size_t kLookedAt = 500;  // pictures without a frame that are compared with all frames

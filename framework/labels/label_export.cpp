@@ -1,12 +1,10 @@
 #include "labels/label_export.h"
 
 #include <algorithm>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
 #include "labels/mask_outlines.h"
-#include "scene/classes/class_table.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -14,7 +12,6 @@ namespace semfield {
 namespace {
 
 using ExportJson = nlohmann::json;
-namespace fs = std::filesystem;
 
 struct Box2 {
   std::int64_t x0, y0, x1, y1;

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <system_error>
 
 #include "core/files.h"
 #include "core/rng.h"
@@ -30,7 +28,7 @@ std::string number_of(const std::string& name) {
 std::string file_stem(std::string_view path) {
   const std::size_t slash = path.find_last_of("/\\");
   if (slash != std::string_view::npos) path.remove_prefix(slash + 1);
-  return std::filesystem::path(path).stem().string();
+  return fs::path(path).stem().string();
 }
 
 FrameInfo as_shown(FrameInfo frame) {
@@ -70,7 +68,7 @@ std::string path_of(const std::string& folder, const std::string& pattern, const
       out += place == "{name}" ? frame.name : place == "{stem}" ? file_stem(frame.source) : digits;
       at = end + 1;
     }
-    return (std::filesystem::path(folder) / out).string();
+    return (fs::path(folder) / out).string();
   };
   const bool by_number = pattern.find("{number}") != std::string::npos;
   if (by_number && number.empty()) return {};
@@ -100,7 +98,7 @@ void check_label_shape(std::int64_t width, std::int64_t height, const Camera& fr
 }
 
 bool folder_has_cameras(const std::string& path) {
-  const std::string cameras = (std::filesystem::path(path).parent_path() / "cameras.json").string();
+  const std::string cameras = (fs::path(path).parent_path() / "cameras.json").string();
   return is_file(cameras) && read_file_start(cameras, 256).find("semfield-cameras-") != std::string::npos;
 }
 

@@ -1,13 +1,9 @@
 #include "labels/segments.h"
 
 #include <algorithm>
-#include <cstdint>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <span>
-#include <string>
-#include <vector>
 
 #include "compute/parallel.h"
 #include "core/files.h"
@@ -70,7 +66,6 @@ SegmentSet segments_of_scene(const LoadedScene& scene) {
 
 namespace {
 
-namespace fs = std::filesystem;
 using SegmentJson = nlohmann::json;
 
 constexpr std::uint16_t kNoSegment16 = 65535;

@@ -5,9 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <exception>
-#include <filesystem>
 #include <nlohmann/json.hpp>
-#include <optional>
 
 #include "compute/parallel.h"
 #include "core/check.h"
@@ -16,13 +14,10 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "labels/label_files.h"
 #include "scene/loading/frame_files.h"
 #include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

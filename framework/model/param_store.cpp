@@ -1,7 +1,5 @@
 #include "model/param_store.h"
 
-#include <algorithm>
-
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/rng.h"

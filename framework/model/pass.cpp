@@ -1,13 +1,11 @@
 #include "model/pass.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <numeric>
 
 #include "core/check.h"
 #include "core/error.h"
-#include "model/param_store.h"
 
 namespace semfield {
 

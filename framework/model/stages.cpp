@@ -7,7 +7,6 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
-#include <string>
 #include <type_traits>
 
 #include "compute/layers.h"

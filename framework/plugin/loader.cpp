@@ -10,7 +10,6 @@
 #include <array>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <string_view>
 
@@ -18,11 +17,8 @@
 #include "core/files.h"
 #include "core/process.h"
 #include "core/text.h"
-#include "plugin/module.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 
@@ -206,7 +202,7 @@ constexpr std::size_t kMostSections = 65535, kMostNames = std::size_t{1} << 24;
 class ModuleFile {
  public:
   ModuleFile(const std::string& path, std::string doing)
-      : doing_(std::move(doing)), file_(path, std::ios::binary), size_(std::filesystem::file_size(path)) {
+      : doing_(std::move(doing)), file_(path, std::ios::binary), size_(fs::file_size(path)) {
     if (!file_) refuse("plugin.module.unreadable", "it cannot be opened", "check its permissions");
   }
 
@@ -309,7 +305,7 @@ std::map<std::string, std::string> module_checksums(const std::vector<std::strin
   std::map<std::string, std::string> checksums;
   for (const std::string& file : files) {
     const std::string bytes = read_text_file(file, std::size_t{1} << 32);
-    checksums[std::filesystem::path(file).filename().string()] =
+    checksums[fs::path(file).filename().string()] =
         fmt::format("{:08x}, {} bytes", crc32c(std::as_bytes(std::span(bytes))), bytes.size());
   }
   return checksums;

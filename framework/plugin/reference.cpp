@@ -5,7 +5,6 @@
 
 #include <algorithm>
 
-#include "config/params.h"
 #include "core/error.h"
 
 namespace semfield {

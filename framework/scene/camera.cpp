@@ -7,9 +7,7 @@
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
 #include <algorithm>
-#include <array>
 #include <charconv>
-#include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <optional>

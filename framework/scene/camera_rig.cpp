@@ -9,7 +9,6 @@
 #include <cstdlib>
 
 #include "compute/parallel.h"
-#include "scene/scene.h"
 
 namespace semfield {
 

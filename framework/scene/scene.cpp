@@ -5,13 +5,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <map>
 #include <set>
-#include <vector>
 
 #include "core/check.h"
 #include "core/text.h"
-#include "scene/camera.h"
 
 namespace semfield {
 

@@ -7,10 +7,8 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <mutex>
-#include <numeric>
 #include <queue>
 #include <tuple>
 #include <utility>

@@ -1,12 +1,7 @@
 // Comparison of matrices.
 #include "testkit/compare.h"
 
-#include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <cstring>
-#include <limits>
-#include <vector>
 
 #include "core/rng.h"
 #include "model/param_store.h"

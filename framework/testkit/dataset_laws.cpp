@@ -1,5 +1,4 @@
 // The laws of datasets.
-#include <algorithm>
 #include <cmath>
 #include <set>
 

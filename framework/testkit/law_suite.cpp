@@ -1,6 +1,5 @@
 // The laws of every kind on plugins that a registry has: what `semfield plugins check` and tests of plugins run.
 #include <algorithm>
-#include <map>
 
 #include "plugin/loader.h"
 #include "testkit/laws.h"

@@ -1,6 +1,5 @@
 // The laws of samplers.
 #include <algorithm>
-#include <cmath>
 
 #include "core/rng.h"
 #include "testkit/benches.h"

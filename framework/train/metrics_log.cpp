@@ -6,12 +6,9 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "config/settings/choices.h"
 #include "core/error.h"
 #include "eval/metrics.h"
 
@@ -126,7 +123,7 @@ std::vector<MetricsRow> read_metrics(const std::string& path) { return parse_met
 MetricsLog::MetricsLog(std::string path) : path_(std::move(path)), file_(open_log(path_)) {}
 
 MetricsLog MetricsLog::resume(const std::string& path, std::int64_t step) {
-  if (std::filesystem::exists(path)) {
+  if (fs::exists(path)) {
     const std::string text = read_text_file(path);
     std::string kept;
     std::optional<Error> unreadable;

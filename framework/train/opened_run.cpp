@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <filesystem>
 #include <set>
 
 #include "config/config_words.h"
@@ -23,8 +22,6 @@
 namespace semfield {
 
 namespace {
-
-namespace fs = std::filesystem;
 
 // What the run settled after the checkpoint, and the legs that were requested, are no changes of a setting.
 bool is_of_the_length(const std::string& key, bool was_open) {
@@ -145,7 +142,7 @@ CheckpointStore::Found newest_checkpoint(const RunFolder& folder, Diagnostics& d
 // What training has shown of the scene already is not said again by each verb.
 void add_untold(const Diagnostics& found, const std::string& told_path, Diagnostics& diagnostics) {
   std::set<std::string, std::less<>> told;
-  const std::string text = std::filesystem::exists(told_path) ? read_text_file(told_path) : std::string();
+  const std::string text = fs::exists(told_path) ? read_text_file(told_path) : std::string();
   std::string_view rest = text, line;
   while (next_line(rest, line)) told.emplace(line);
   for (const Diagnostic& finding : found.all()) {

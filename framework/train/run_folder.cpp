@@ -7,7 +7,6 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
@@ -28,8 +27,6 @@
 #endif
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

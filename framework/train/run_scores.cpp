@@ -4,14 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <limits>
 
 #include "core/files.h"
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "labels/training_labels.h"
-#include "plugin/loader.h"
 #include "scene/classes/class_table.h"
 #include "train/run.h"
 
@@ -259,7 +257,7 @@ std::string keep_scores(const OpenedRun& run, const std::string& split, const Sp
     const std::vector<CheckpointStore::Entry> saved = CheckpointStore::read(folder.checkpoints_path()).list();
     if (saved.empty() || saved.front().step != run.step)
       return fmt::format("the run's newest checkpoint is not that of step {}, which was read", run.step);
-    const bool logged = std::filesystem::exists(folder.metrics_path());
+    const bool logged = fs::exists(folder.metrics_path());
     const std::vector<MetricsRow> rows = logged ? read_metrics(folder.metrics_path()) : std::vector<MetricsRow>();
     const std::string line = metrics_line(row);
     const auto last = std::find_if(rows.rbegin(), rows.rend(), [&](const MetricsRow& old) {

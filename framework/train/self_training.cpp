@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 
 #include "compute/parallel.h"
 #include "core/checksum.h"
@@ -15,8 +14,6 @@
 namespace semfield {
 
 namespace {
-
-namespace fs = std::filesystem;
 
 constexpr const char* kSelfLabelsFormat = "semfield-self-labels-1";
 constexpr const char* kRemedy =

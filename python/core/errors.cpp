@@ -6,8 +6,6 @@
 #include <atomic>
 #include <thread>
 
-#include "core/error.h"
-
 namespace semfield::python {
 
 namespace {

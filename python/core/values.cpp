@@ -6,14 +6,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdlib>
 #include <string_view>
 #include <utility>
 
 #include "config/params.h"
 #include "core/error.h"
 #include "formats/text_rows.h"
-#include "scene/scene.h"
 
 namespace semfield::python {
 

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cstdint>
-#include <map>
 #include <set>
 #include <string>
 #include <vector>
@@ -10,7 +9,6 @@
 #include "scene/loading/capture/photographs.h"
 #include "scene/loading/capture/prepare.h"
 #include "scene/loading/colmap_model.h"
-#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

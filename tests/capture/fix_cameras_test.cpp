@@ -1,7 +1,6 @@
 // Cameras of a scene with poses, fixed; a program stands for COLMAP that finds true corners in every photograph.
 #include "scene/loading/capture/fix_cameras.h"
 
-#include <gtest/gtest.h>
 #include <sqlite3.h>
 
 #include <algorithm>
@@ -12,7 +11,6 @@
 #include <memory>
 #include <random>
 
-#include "tests/says.h"
 #include "tests/scene/bundle_error.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -20,7 +18,6 @@ namespace semfield {
 namespace {
 
 using namespace testing_room;
-namespace fs = std::filesystem;
 
 struct Closer {
   void operator()(sqlite3* base) const { sqlite3_close(base); }

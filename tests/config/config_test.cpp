@@ -1,6 +1,5 @@
 #include <unistd.h>
 
-#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstring>
@@ -12,7 +11,6 @@
 #include "config/config_tree.h"
 #include "config/config_words.h"
 #include "config/params.h"
-#include "core/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 
@@ -104,8 +102,6 @@ TEST(ConfigWrite, PlainTexts) {
 // Composition: merging, files by name, paths. Includes, overrides, like, explanations and differences:
 // tests/bad_files/config.cases.
 
-namespace fs = std::filesystem;
-
 ConfigNode compose_parse(const std::string& yaml) { return parse_config_text(yaml, "t.yaml"); }
 std::string merged(const std::string& base, const std::string& over) {
   return write_config_inline(merge_config(compose_parse(base), compose_parse(over)));
@@ -167,7 +163,7 @@ TEST(SharedFiles, TheEnvironmentNamesAnotherFolder) {
             "environment variable SEMFIELD_SHARE: no folder '" + folder / "none" +
                 "'; set it to the folder that holds configs/ and scenes/, or leave it out");
   ::unsetenv("SEMFIELD_SHARE");
-  EXPECT_TRUE(std::filesystem::exists(shared_file("scenes/room/room.obj")));
+  EXPECT_TRUE(fs::exists(shared_file("scenes/room/room.obj")));
 }
 
 TEST(ResolvePath, RelativeToTheFileThatWroteIt) {
@@ -176,10 +172,9 @@ TEST(ResolvePath, RelativeToTheFileThatWroteIt) {
   const ConfigNode root = compose_config(folder.write("room.yaml", "include: parts/base.yaml\n"), {"mesh=../m.obj"});
   EXPECT_EQ(resolve_path(*root.find("scene")->find("root")), folder / "data/room");
   EXPECT_EQ(resolve_path(*root.find("scene")->find("out")), "/tmp/y");
-  EXPECT_EQ(resolve_path(*root.find("mesh")),
-            (std::filesystem::current_path() / "../m.obj").lexically_normal().string());
+  EXPECT_EQ(resolve_path(*root.find("mesh")), (fs::current_path() / "../m.obj").lexically_normal().string());
   const ConfigNode here = parse_config_text("root: data", "configs/room.yaml");
-  EXPECT_EQ(resolve_path(*here.find("root")), (std::filesystem::current_path() / "configs/data").string());
+  EXPECT_EQ(resolve_path(*here.find("root")), (fs::current_path() / "configs/data").string());
 }
 
 // Parameters read from the tree, written back exactly, described. Mistakes: tests/bad_files/config.cases; their schema:

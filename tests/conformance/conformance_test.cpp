@@ -83,8 +83,7 @@ void run(bool, const std::function<void()>& body) { body(); }
 DeviceCalls pretended() { return {{Device::cuda, allocate, release}, to_device, to_host, run}; }
 
 // Kernels of the CPU, given views of the pretended device.
-class PretendedDevice : public testing::TestWithParam<Row> {
- protected:
+struct PretendedDevice : testing::TestWithParam<Row> {
   ~PretendedDevice() override { EXPECT_EQ(g_blocks, 0) << "blocks of the device were not given back"; }
   static LawOptions options() {
     LawOptions options;

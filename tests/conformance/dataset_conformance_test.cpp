@@ -2,7 +2,6 @@
 
 #include "app/scene/folder_scene.h"
 #include "config/config_words.h"
-#include "core/files.h"
 #include "plugin/loader.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/rows.h"
@@ -53,8 +52,7 @@ INSTANTIATE_TEST_SUITE_P(Linked, DatasetConformance, testing::ValuesIn(rows_of(P
 
 // What `semfield init` finds in folders: the reader that each dataset's own files call for, and the configuration.
 
-class FolderScenes : public testing::Test {
- protected:
+struct FolderScenes : testing::Test {
   FolderScenes() { register_linked_plugins(context.registry); }
   FolderScene find(const std::string& path, const std::string& type = "") { return find_scene(path, type, context); }
   AppContext context;

@@ -1,11 +1,9 @@
 // Writing the analytic room.
 #include "tests/conformance/sample_files.h"
 
-#include <filesystem>
 #include <sstream>
 
 #include "core/files.h"
-#include "formats/image_io.h"
 #include "tests/analytic_scene.h"
 
 namespace semfield::testkit {
@@ -13,8 +11,8 @@ namespace semfield::testkit {
 SceneInfo write_sample_images(const std::string& folder, const SampleNames& names,
                               const std::function<std::string(std::size_t)>& name) {
   const auto path_of = [&](const std::string& prefix, std::size_t i) {
-    const std::filesystem::path path = std::filesystem::path(folder) / (prefix + name(i) + ".png");
-    std::filesystem::create_directories(path.parent_path());
+    const fs::path path = fs::path(folder) / (prefix + name(i) + ".png");
+    fs::create_directories(path.parent_path());
     return path.string();
   };
   const std::unique_ptr<Dataset> room = make_analytic_scene();
@@ -31,7 +29,7 @@ SceneInfo write_sample_images(const std::string& folder, const SampleNames& name
     write_png_gray16(path_of(names.depth_mm, i), pixels.width_px, pixels.height_px, depth_mm);
     write_png_gray8(path_of(names.label, i), pixels.width_px, pixels.height_px, ids);
   }
-  write_file_atomic((std::filesystem::path(folder) / "classes.yaml").string(), scene.classes.to_yaml());
+  write_file_atomic((fs::path(folder) / "classes.yaml").string(), scene.classes.to_yaml());
   return scene;
 }
 

@@ -16,12 +16,8 @@
 #include <thread>
 
 #include "compute/isa.h"
-#include "compute/parallel.h"
 #include "core/checksum.h"
-#include "core/error.h"
-#include "core/files.h"
 #include "core/process.h"
-#include "core/text.h"
 #include "core/workspace.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
@@ -253,8 +249,7 @@ TEST(Workspace, ForgetGivesEverythingBack) {
 
 // Holds on a folder, alone and shared. Two locks of one process exclude each other as those of two processes do.
 
-class FolderLocks : public testing::Test {
- protected:
+struct FolderLocks : testing::Test {
   const TempDir dir_;
   const std::string& folder_ = dir_.path();
 };
@@ -312,8 +307,7 @@ TEST(SortedFolder, AFolderThatCannotBeReadIsNamed) {
 
 constexpr std::size_t kMB = std::size_t{1} << 20;
 
-class MemoryLimit : public testing::Test {
- protected:
+struct MemoryLimit : testing::Test {
   const TempDir dir_;
   const std::string& root_ = dir_.path();
   const std::string meminfo_ = "MemTotal:  8192000 kB\nMemFree: 100 kB\nMemAvailable:    4096000 kB\n";
@@ -499,8 +493,7 @@ bool rounds_to_nearest() {
   return sum == 1;
 }
 
-class FloatMode : public testing::Test {
- protected:
+struct FloatMode : testing::Test {
   void SetUp() override {
     if (!kHasMode) GTEST_SKIP() << "this CPU has no mode that flushes subnormals";
     ASSERT_FALSE(ComputeFloatMode::in_effect()) << "the test's own thread keeps subnormals";
@@ -568,7 +561,7 @@ TEST_F(FloatMode, TheCallersModeComesBackAfterAnException) {
 
 // What a process says whose environment has SEMFIELD_ISA=`wanted`: this program again, at the test below.
 std::string said_with(const std::string& wanted) {
-  const std::string self = std::filesystem::read_symlink("/proc/self/exe").string();
+  const std::string self = fs::read_symlink("/proc/self/exe").string();
   const std::string command =
       "SEMFIELD_ISA=" + shell_word(wanted) + " " + shell_word(self) + " --gtest_filter=Isa.SaysWhatItIsOrWhyNot 2>&1";
   const std::unique_ptr<FILE, int (*)(FILE*)> pipe(popen(command.c_str(), "r"), pclose);

@@ -7,22 +7,14 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <limits>
-#include <map>
 #include <set>
 
-#include "core/files.h"
 #include "core/process.h"
 #include "core/rng.h"
-#include "labels/clicks.h"
-#include "scene/loading/packed_scene.h"
-#include "tests/crash/scenarios.h"
 #include "tests/crash/victim_runs.h"
-#include "tests/scene/tiny_scene.h"
-#include "train/run_folder.h"
 
 namespace semfield::testing_crash {
 namespace {
@@ -71,7 +63,6 @@ class ReorderModel {
   std::size_t calls_ = 0;
   std::vector<Effect> effects_;
 };
-namespace fs = std::filesystem;
 
 constexpr std::size_t kNever = std::numeric_limits<std::size_t>::max();
 
@@ -435,8 +426,7 @@ Verdict judge(Save what, const std::vector<FileCall>& calls, const DiskState& be
   return v;
 }
 
-class Reorder : public ::testing::TestWithParam<Save> {
- protected:
+struct Reorder : ::testing::TestWithParam<Save> {
   void SetUp() override {
     Trial trial(GetParam());
     before_ = read_disk(trial.folder());

@@ -32,7 +32,6 @@ struct Look {
   int temporaries = 0;    ///< files named *.tmp below the folder, after what a next start does
   std::string bad;        ///< anything that is not as promised; empty: all is well
 };
-namespace fs = std::filesystem;
 
 inline std::string checkpoints(const std::string& folder) { return folder + "/checkpoints"; }
 

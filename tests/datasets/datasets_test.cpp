@@ -1,12 +1,9 @@
 // Broken scenes and the exact sentences that they get: place, cause, remedy.
 
-#include <gtest/gtest.h>
-
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "core/files.h"
 #include "formats/image_io.h"
-#include "scene/loading/frame_source.h"
 #include "scene/scene.h"
 #include "tests/datasets/named_dataset.h"
 #include "tests/datasets/rewritten_poses.h"
@@ -282,8 +279,7 @@ class PresetAdviceOf : public testing::TestWithParam<Measured> {};
 
 TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
   const Measured& scene = GetParam();
-  if (!std::filesystem::exists(data(scene.folder)))
-    GTEST_SKIP() << "the optional scene " << scene.folder << " is not at hand";
+  if (!fs::exists(data(scene.folder))) GTEST_SKIP() << "the optional scene " << scene.folder << " is not at hand";
   SceneLoadOptions options{.width_px = scene.width_px, .depth = DepthKept::none};
   Diagnostics d;
   NamedDataset dataset(scene.reader, {{"root", data(scene.folder)}});
@@ -310,7 +306,7 @@ INSTANTIATE_TEST_SUITE_P(RealScenes, PresetAdviceOf,
 
 // Forward-facing photographs: the box of what is seen and not that of the view cones.
 TEST(SceneBounds, CornersTellWhereAForwardFacingSceneIs) {
-  if (!std::filesystem::exists(data("fern"))) GTEST_SKIP() << "the optional scene fern is not at hand";
+  if (!fs::exists(data("fern"))) GTEST_SKIP() << "the optional scene fern is not at hand";
   SceneLoadOptions options{.width_px = 400};
   Diagnostics d;
   NamedDataset llff("llff", {{"root", data("fern")}});
@@ -415,8 +411,7 @@ TEST(Guess, ARoomFromInsideAndAnObjectBeforeOneColour) {
 // The datasets on real scenes, where they are at hand.
 
 TEST(RealData, ReplicaApartment) {
-  if (!std::filesystem::exists(data("replica_apartment0")))
-    GTEST_SKIP() << "the optional Replica frames are not at hand";
+  if (!fs::exists(data("replica_apartment0"))) GTEST_SKIP() << "the optional Replica frames are not at hand";
   NamedDataset replica = replica_of(data("replica_apartment0"));
   Diagnostics d;
   SceneLoadOptions o{.width_px = 160};
@@ -432,7 +427,7 @@ TEST(RealData, ReplicaApartment) {
 
 // The two exports of one reconstruction agree up to a similarity: x' = s Q x + t.
 TEST(RealData, StudioRoomByColmapAndByTransforms) {
-  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  if (!fs::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
   NamedDataset by_json("transforms_json", {{"root", data("studio_room")}});
   NamedDataset by_colmap("colmap", {{"root", data("studio_room")}});
   Diagnostics d;
@@ -473,7 +468,7 @@ TEST(RealData, StudioRoomByColmapAndByTransforms) {
 }
 
 TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
-  if (!std::filesystem::exists(data("bonsai360"))) GTEST_SKIP() << "the optional scene bonsai360 is not at hand";
+  if (!fs::exists(data("bonsai360"))) GTEST_SKIP() << "the optional scene bonsai360 is not at hand";
   NamedDataset by_json("transforms_json", {{"root", data("bonsai360")}});
   NamedDataset by_llff("llff", {{"root", data("bonsai360")}});
   Diagnostics d;
@@ -493,8 +488,7 @@ TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
 }
 
 TEST(RealData, Record3dDoor) {
-  if (!std::filesystem::exists(data("record3d_door")))
-    GTEST_SKIP() << "the optional recording of a phone is not at hand";
+  if (!fs::exists(data("record3d_door"))) GTEST_SKIP() << "the optional recording of a phone is not at hand";
   NamedDataset phone("record3d", {{"root", data("record3d_door")}});
   Diagnostics d;
   const LoadedScene s = load_scene(phone, {.width_px = 240}, d);
@@ -510,7 +504,7 @@ TEST(RealData, Record3dDoor) {
 }
 
 TEST(RealData, ShelfBinWithDepthAndLabels) {
-  if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  if (!fs::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
   NamedDataset scene("transforms_json", {{"root", data("shelf_bin")}, {"test_every", "5"}});
   Diagnostics d;
   const LoadedScene s = load_scene(scene, {}, d);
@@ -525,14 +519,13 @@ TEST(RealData, ShelfBinWithDepthAndLabels) {
 }
 
 TEST(RealData, ReplicaConventionsAreTold) {
-  if (!std::filesystem::exists(data("replica_apartment0")))
-    GTEST_SKIP() << "the optional Replica frames are not at hand";
+  if (!fs::exists(data("replica_apartment0"))) GTEST_SKIP() << "the optional Replica frames are not at hand";
   NamedDataset replica = replica_of(data("replica_apartment0"));
   expect_conventions_told(replica, "poses agree with depth");
 }
 
 TEST(RealData, StudioRoomConventionsAreToldFromPhotographs) {
-  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  if (!fs::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
   NamedDataset by_json("transforms_json", {{"root", data("studio_room")}});
   expect_conventions_told(by_json, "poses agree with the photographs");
   NamedDataset by_colmap("colmap", {{"root", data("studio_room")}});
@@ -540,7 +533,7 @@ TEST(RealData, StudioRoomConventionsAreToldFromPhotographs) {
 }
 
 TEST(RealData, ShelfBinConventionsAreToldFromSparseDepth) {
-  if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  if (!fs::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
   NamedDataset scene("transforms_json", {{"root", data("shelf_bin")}});
   expect_conventions_told(scene, "poses agree with depth");
 }

@@ -327,8 +327,6 @@ TEST(Protocol, TheTruthHasAChecksum) {
 
 // final_eval.json and labels.json: made from scores, written, read back, and refused; and pictures of what is rendered.
 
-namespace fs = std::filesystem;
-
 const ClassEntry kWall{3, "wall \"a\"", {1, 2, 3}, false}, kChair{9, "chair", {7, 8, 9}, false};
 const ClassTable kTable({{0, "void", {0, 0, 0}, true}, kWall, {7, "never", {4, 5, 6}, false}, kChair});
 
@@ -439,8 +437,7 @@ TEST(LabelCounts, AreSummedFromTheManifestAndComeBack) {
 
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
-class ImageOutput : public ::testing::Test {
- protected:
+struct ImageOutput : ::testing::Test {
   void SetUp() override {
     if (!images_available()) GTEST_SKIP() << "this build cannot read images back (SEMFIELD_WITH_IMAGES=OFF)";
   }

@@ -2,12 +2,9 @@
 
 #include "surface/fuse/fusion.h"
 
-#include <gtest/gtest.h>
-
 #include <Eigen/Dense>
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
-#include <algorithm>
 
 #include "core/rng.h"
 #include "scene/classes/class_table.h"

@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <filesystem>
 #include <ostream>
 
 #include "core/files.h"
@@ -15,8 +14,6 @@ namespace semfield::fuzz {
 void PrintTo(const Target& target, std::ostream* out) { *out << target.name; }
 
 namespace {
-
-namespace fs = std::filesystem;
 
 std::vector<fs::path> inputs_of(std::string_view kind, std::string_view target) {
   std::vector<fs::path> out;

@@ -5,17 +5,13 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
-#include <filesystem>
 #include <set>
 #include <sstream>
 #include <stdexcept>
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
-#include "config/config_tree.h"
 #include "config/config_words.h"
-#include "config/params.h"
 #include "config/settings/run_config.h"
 #include "core/files.h"
 #include "datasets/obj_room/obj_room.h"
@@ -24,7 +20,6 @@
 #include "formats/npz.h"
 #include "formats/safetensors.h"
 #include "labels/clicks.h"
-#include "labels/label_files.h"
 #include "plugin/loader.h"
 #include "plugin/registry.h"
 #include "scene/camera.h"
@@ -44,8 +39,6 @@ namespace {
 const std::string& folder();
 /// An 8-bit grey PNG of a few pixels at `name`, written once a process.
 std::string put_image(const std::string& name, int width_px = 4, int height_px = 3);
-
-namespace fs = std::filesystem;
 
 struct Folder {
   Folder() {

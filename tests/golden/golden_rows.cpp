@@ -16,9 +16,7 @@
 #include "tests/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
-#include "train/run.h"
 #include "train/run_folder.h"
-#include "train/trainer.h"
 #ifdef SEMFIELD_PAGE
 #include "app/serve/page_pictures.h"
 #endif
@@ -26,7 +24,6 @@
 namespace semfield {
 namespace {
 
-namespace fs = std::filesystem;
 using namespace testing_train;
 
 constexpr std::int64_t kSteps = 20, kSaved = 10;

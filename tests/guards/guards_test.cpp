@@ -8,8 +8,6 @@
 #include "model/stages.h"
 #include "tests/session/train_testing.h"
 #include "train/checkpoint.h"
-#include "train/run.h"
-#include "train/trainer.h"
 
 namespace semfield {
 

@@ -1,17 +1,13 @@
 // Files for other programs: read by a script of the standard library, and by programs that nobody here wrote.
 
-#include <gtest/gtest.h>
 #include <sys/wait.h>
 
-#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "core/files.h"
 #include "core/small_math.h"
-#include "core/text.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "scene/loading/frame_source.h"
@@ -97,8 +93,7 @@ nlohmann::json rows_of(const std::vector<Vec3d>& vectors) {
   return out;
 }
 
-class HandOverFiles : public ::testing::Test {
- protected:
+struct HandOverFiles : ::testing::Test {
   static void SetUpTestSuite() {
     dir_ = new TempDir;
     const PointSet set = points();

@@ -1,8 +1,6 @@
 // Clicks in the analytic room: what they name, what undoing them leaves, what a surface made anew keeps of them, and
 // how sure the labels are.
 
-#include "labels/serve/label_loop.h"
-
 #include "core/rng.h"
 #include "testkit/compare.h"
 #include "tests/label_loop/labelled_room.h"

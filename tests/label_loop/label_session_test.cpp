@@ -10,7 +10,6 @@
 #include <stdexcept>
 #include <thread>
 
-#include "core/non_copyable.h"
 #include "eval/report/report.h"
 #include "labels/clicks.h"
 #include "labels/labelling_record.h"
@@ -105,8 +104,7 @@ namespace semfield {
 namespace {
 
 // A session of the plain configuration in a folder of its own.
-class PlainSession : public ::testing::Test {
- protected:
+struct PlainSession : ::testing::Test {
   const TempDir dir;
   testing_loop::RunningSession run{testing_loop::session_config(), dir / "run"};
 };
@@ -491,7 +489,6 @@ std::vector<std::string> classes_of(const LabelSession& session) {
 }
 
 TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
-  namespace fs = std::filesystem;
   const TempDir dir;
   const std::string here = dir / "run", moved = dir / "moved", copied = dir / "copied", earlier = dir / "earlier";
   const auto resumed = [](const std::string& folder) {

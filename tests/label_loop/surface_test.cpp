@@ -6,7 +6,6 @@
 
 #include "core/rng.h"
 #include "labels/mask_outlines.h"
-#include "labels/serve/label_loop.h"
 #include "labels/serve/view_pictures.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/threads.h"
@@ -399,8 +398,7 @@ using namespace testing_train;
 
 const std::string kDepth = "losses: [{type: depth, kind: line_of_sight, weight: 0.3, from_step: 0}]\n";
 
-class LearnedRoom : public testing::Test {
- protected:
+struct LearnedRoom : testing::Test {
   static void SetUpTestSuite() {
     session_ = new Session(open_text(hash_config(kDepth)));
     Trainer trainer(*session_);

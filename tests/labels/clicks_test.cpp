@@ -12,7 +12,6 @@
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "tests/labels/reader_case.h"
-#include "tests/scene/tiny_scene.h"
 
 namespace semfield {
 namespace {
@@ -549,7 +548,7 @@ struct ClickLogOfOne : testing::Test {
   Diagnostics diagnostics;
   ClickLog log = ClickLog::open(path, diagnostics);
   ClickLogOfOne() {
-    EXPECT_TRUE(std::filesystem::exists(path) && log.events().empty());
+    EXPECT_TRUE(fs::exists(path) && log.events().empty());
     log.append(undo("1", "x"));
   }
 };
@@ -616,7 +615,7 @@ TEST_F(ClickLogOfOne, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
 }
 
 TEST_F(ClickLogOfOne, ASecondWriterIsRefusedAndTold) {
-  std::filesystem::create_symlink(path, folder + "/link.jsonl");
+  fs::create_symlink(path, folder + "/link.jsonl");
   for (const std::string& name : {path, folder + "/link.jsonl", folder + "/./clicks.jsonl"}) {
     const std::string error = error_of([&] { (void)ClickLog::open(name, diagnostics); });
     EXPECT_EQ(error.find("the file of clicks '" + name + "' is in use by process " + std::to_string(getpid()) + " on "),
@@ -640,9 +639,9 @@ TEST_F(ClickLogOfOne, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
     EXPECT_EQ(read_text_file(path), theirs);
     EXPECT_EQ(event_ids(log.events()), "1 ");
   }
-  std::filesystem::remove(path);
+  fs::remove(path);
   EXPECT_HAS(error_of([&] { log.append(undo("3", "x")); }), path, "to it");
-  EXPECT_FALSE(std::filesystem::exists(path));
+  EXPECT_FALSE(fs::exists(path));
 }
 
 // `scene.labels.from: {type: clicks}` of a log of label events, and scene.labels.clicks and .class_room over labels.

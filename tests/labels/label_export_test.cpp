@@ -7,9 +7,7 @@
 
 #include "core/files.h"
 #include "core/rng.h"
-#include "core/text.h"
 #include "formats/image_io.h"
-#include "formats/npz.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "scene/classes/class_table.h"
@@ -215,7 +213,7 @@ struct TurnedCase {
   TurnedCase(int width, int height, int turned, int divide = 1)
       : w(width), h(height), orientation(turned), folder(fresh_folder("t")) {
     const std::string image = folder + "/images/a.png";
-    std::filesystem::create_directories(folder + "/images");
+    fs::create_directories(folder + "/images");
     write_png_rgb(image, w, h, std::vector<std::uint8_t>(static_cast<std::size_t>(3 * w * h), 99));
     set_orientation(image, orientation);
     FrameInfo frame{.name = "a", .source = image, .camera = {.width_px = w / divide, .height_px = h / divide}};
@@ -266,7 +264,7 @@ TEST(TurnedPictures, AreScaledAsTheyAreStored) {
     std::vector<std::uint8_t> ids(32, 1);
     for (int y = 0; y < down / 2; ++y)
       for (int x = 0; x < across / 2; ++x) ids[static_cast<std::size_t>(y * across + x)] = 4;
-    std::filesystem::create_directories(c.folder + "/ids");
+    fs::create_directories(c.folder + "/ids");
     write_png_gray8(c.folder + "/ids/a.png", across, down, ids);
     const ShownCorners at = shown_corners(orientation, 4, 2);
     Rows wanted(2, "0000");
@@ -278,7 +276,7 @@ TEST(TurnedPictures, AreScaledAsTheyAreStored) {
 
 TEST(TurnedPictures, LabelsOfTheStoredPixelsAreRefusedWithTheRemedy) {
   TurnedCase c(5, 3, 6);
-  std::filesystem::create_directories(c.folder + "/ids");
+  fs::create_directories(c.folder + "/ids");
   write_png_gray8(c.folder + "/ids/a.png", 5, 3, c.shown_ids());
   LabelConfig config;
   config.from = {"images", make_reader("images", "folder: " + c.folder + "/ids")};

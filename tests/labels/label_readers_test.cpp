@@ -4,16 +4,12 @@
 #include <algorithm>
 #include <set>
 
-#include "core/rng.h"
 #include "formats/image_io.h"
-#include "formats/npz.h"
 #include "labels/frame_match.h"
-#include "labels/label_files.h"
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "tests/labels/reader_case.h"
 #include "tests/scene/npz_files.h"
-#include "tests/scene/tiny_scene.h"
 
 namespace semfield {
 namespace {

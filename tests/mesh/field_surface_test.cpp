@@ -12,7 +12,6 @@
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/score/mesh_score.h"
 #include "tests/session/train_testing.h"
-#include "train/trainer.h"
 
 namespace semfield {
 namespace {
@@ -107,8 +106,7 @@ class BallField final : public Field<Real> {
                    const FieldGrad<Real>&, Saved, View<Real>) const override {}
 };
 
-class Ball : public ::testing::Test {
- protected:
+struct Ball : ::testing::Test {
   Ball() : registry(make_registry()) {
     registry.add_field<BallField, BallParams>("ball", "a ball of formulas");
     session = std::make_unique<Session>(

@@ -1,7 +1,5 @@
 // Surfaces of known solids: closed, oriented, accurate to second order; every sign pattern, random ones too.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -11,11 +9,7 @@
 #include <set>
 
 #include "app/render/run_surface.h"
-#include "compute/parallel.h"
-#include "core/error.h"
-#include "core/files.h"
 #include "core/rng.h"
-#include "core/text.h"
 #include "datasets/obj_room/obj_room.h"
 #include "scene/camera.h"
 #include "scene/camera_rig.h"
@@ -26,7 +20,7 @@
 #include "surface/mesh/sights.h"
 #include "surface/mesh/surface.h"
 #include "tests/says.h"
-#include "tests/session/train_testing.h"
+#include "tests/temp_dir.h"
 #include "tests/threads.h"
 
 namespace semfield {

@@ -1,15 +1,9 @@
 // Compositing of part of the rays, its gradients against finite differences, and the addresses of density noise. Group
 // A and cases D11, D16 and D17 of tests/numerics compare both with closed forms and long double.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 
 #include "adam_rows.h"
-#include "compute/parallel.h"
-#include "core/error.h"
-#include "core/rng.h"
-#include "model/compositor.h"
 #include "model/losses/loss_list.h"
 #include "model/stages.h"
 #include "rays_of_slabs.h"

@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <sstream>
@@ -16,30 +15,22 @@
 #include "compute/math_functions.h"
 #include "compute/parallel.h"
 #include "core/checksum.h"
-#include "core/files.h"
-#include "core/non_copyable.h"
-#include "core/rng.h"
 #include "core/text.h"
 #include "datasets/obj_room/obj_room.h"
 #include "eval/metrics.h"
 #include "execution/device_library.h"
 #include "isa_list.h"
-#include "model/compositor.h"
 #include "model/optim/adam.h"
 #include "named_case.h"
-#include "plugin/encoder.h"
 #include "rooms.h"
 #include "scene/classes/class_table.h"
-#include "scene/scene.h"
 #include "surface/mesh/marching_cubes.h"
 #include "testkit/benches.h"
 #include "testkit/host_twin.h"
-#include "testkit/laws.h"
 #include "tests/encoder_box.h"
 #include "tests/model/rays_of_slabs.h"
 #include "tests/scene/room_files.h"
 #include "train/ray_source.h"
-#include "train/trainer.h"
 
 #if defined(__x86_64__)
 #include <xmmintrin.h>
@@ -588,7 +579,7 @@ struct Step {
 std::string probe_path() {
   Dl_info info{};
   if (dladdr(reinterpret_cast<const void*>(&probe_path), &info) == 0 || info.dli_fname == nullptr) return {};
-  const auto path = std::filesystem::path(info.dli_fname).parent_path() / "semfield_step_probe";
+  const auto path = fs::path(info.dli_fname).parent_path() / "semfield_step_probe";
   return is_there(path) ? path.string() : std::string();
 }
 
@@ -697,7 +688,7 @@ std::string compile_commands() {
   Dl_info info{};
   if (dladdr(reinterpret_cast<const void*>(&compile_commands), &info) == 0 || info.dli_fname == nullptr) return {};
   std::error_code ignored;
-  std::filesystem::path folder = std::filesystem::absolute(info.dli_fname, ignored).parent_path();
+  fs::path folder = fs::absolute(info.dli_fname, ignored).parent_path();
   for (int up = 0; up < 4 && !folder.empty(); ++up, folder = folder.parent_path()) {
     if (is_file(folder / "compile_commands.json")) return read_text_file((folder / "compile_commands.json").string());
   }

@@ -2,15 +2,11 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
-
 #include "core/view.h"
-#include "named_case.h"
 #include "plugins/encoders/hash_grid/hash_grid_kernels.h"
 #include "ray_bench.h"
 #include "rooms.h"
 #include "testkit/benches.h"
-#include "tests/encoder_box.h"
 
 #if defined(SEMFIELD_HAS_QUADMATH)
 #include <quadmath.h>

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include "core/rng.h"
 #include "core/small_math.h"
 #include "datasets/obj_room/obj_room.h"
 #include "eval/evaluator.h"
@@ -11,7 +10,6 @@
 #include "rooms.h"
 #include "scene/camera.h"
 #include "scene/loading/frame_source.h"
-#include "scene/scene.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"
 #include "tests/scene/room_files.h"
@@ -282,7 +280,6 @@ void lens_fold(CaseRun& run, const Camera& lens, const char* warning) {
 
 void quaternion_scales(CaseRun& run) {
   run.row("float64");
-  namespace fs = std::filesystem;
   const std::string root = run.folder();
   fs::create_directories(root + "/sparse");
   fs::create_directories(root + "/images");

@@ -1,14 +1,10 @@
 // G01 to G05: images, and frames made of them.
 
 #include <algorithm>
-#include <cstring>
 #include <numeric>
 
 #include "config/config_tree.h"
-#include "core/files.h"
-#include "core/rng.h"
 #include "eval/metrics.h"
-#include "formats/image_io.h"
 #include "named_case.h"
 #include "rooms.h"
 #include "scene/loading/frame_source.h"
@@ -16,7 +12,6 @@
 #include "tests/scene/image_bytes.h"
 #include "tests/scene/room_files.h"
 #include "train/run_folder.h"
-#include "train/trainer.h"
 
 namespace semfield::numerics {
 

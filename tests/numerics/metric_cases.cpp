@@ -1,7 +1,6 @@
 // Group H: metrics of images and labels that have nothing, or nothing sound, to compare. Metrics read fp32 and sum in
 // float64.
 
-#include "core/rng.h"
 #include "eval/metrics.h"
 #include "named_case.h"
 #include "scene/classes/class_table.h"

@@ -7,17 +7,14 @@
 #include <utility>
 
 #include "compute/math_functions.h"
-#include "core/view.h"
 #include "formats/image_io.h"
 #include "formats/safetensors.h"
-#include "model/compositor.h"
 #include "model/losses/semantic_cross_entropy.h"
 #include "named_case.h"
 #include "plugin/head.h"
 #include "rooms.h"
 #include "scene/loading/frame_files.h"
 #include "scene/scene.h"
-#include "testkit/compare.h"
 #include "tests/encoder_box.h"
 #include "tests/model/adam_rows.h"
 #include "tests/model/rays_of_slabs.h"

@@ -1,7 +1,6 @@
 // The analytic room as a dataset of the suite, and small networks on it: whole steps and whole pictures.
 #pragma once
 
-#include "compute/parallel.h"
 #include "core/non_copyable.h"
 #include "execution/lane_executor.h"
 #include "plugin/registry.h"

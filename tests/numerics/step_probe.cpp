@@ -6,10 +6,8 @@
 
 #include "core/checksum.h"
 #include "core/files.h"
-#include "execution/lane_executor.h"
 #include "plugin/loader.h"
 #include "rooms.h"
-#include "train/trainer.h"
 
 namespace semfield::numerics {
 namespace {

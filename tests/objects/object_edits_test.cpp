@@ -1,10 +1,8 @@
 // A small set of objects: blocks of cells in a row.
 
-#include <gtest/gtest.h>
 #include <sys/resource.h>
 
 #include <algorithm>
-#include <cmath>
 #include <csignal>
 #include <cstddef>
 #include <cstring>
@@ -13,8 +11,6 @@
 #include <vector>
 
 #include "app/objects/object_files.h"
-#include "core/error.h"
-#include "core/files.h"
 #include "formats/safetensors.h"
 #include "surface/objects/object_set.h"
 #include "tests/says.h"
@@ -299,8 +295,7 @@ ObjectEdit rename(int object, const std::string& name) {
   return parse_object_edit(nlohmann::json({{"do", "rename"}, {"object", object}, {"name", name}}).dump(), "here");
 }
 
-class ObjectFolders : public ::testing::Test {
- protected:
+struct ObjectFolders : ::testing::Test {
   ObjectFolders() {
     write_object_set(dir_ / "found.safetensors", testing_objects::blocks());
     folder_.mend();
@@ -308,7 +303,7 @@ class ObjectFolders : public ::testing::Test {
 
   std::string edits() const {
     const std::string path = dir_ / "edits.json";
-    return std::filesystem::exists(path) ? read_text_file(path) : "";
+    return fs::exists(path) ? read_text_file(path) : "";
   }
   // Names of the table's rows.
   std::string table() const {
@@ -396,9 +391,9 @@ TEST_F(ObjectFolders, TablesThatAreNotOfTheEditsAreWrittenAnewOnOpening) {
   write_file_atomic(dir_ / "edits.json", object_edits_text(next.edits));
   ObjectFolder(dir_.path(), info_).mend();
   EXPECT_EQ(table(), "saved;not saved;chair 3;");
-  std::filesystem::remove(dir_ / "objects.ply");
+  fs::remove(dir_ / "objects.ply");
   ObjectFolder(dir_.path(), info_).mend();
-  EXPECT_TRUE(std::filesystem::exists(dir_ / "objects.ply"));
+  EXPECT_TRUE(fs::exists(dir_ / "objects.ply"));
   ObjectSet others = testing_objects::blocks();
   std::swap(others.id.front(), others.id.back());
   write_object_set(dir_ / "found.safetensors", others);
@@ -433,7 +428,7 @@ TEST_F(ObjectFolders, AnEditOfObjectsThatWereFoundAnewIsRefused) {
   write_object_set(dir_ / "found.safetensors", others);
   EXPECT_ERROR(folder_.edit(rename(1, "the big one"), seen), "objects.edit.stale");
   EXPECT_EQ(edits(), "");
-  std::filesystem::remove(dir_ / "found.safetensors");
+  fs::remove(dir_ / "found.safetensors");
   EXPECT_ERROR(folder_.edit(rename(1, "the big one"), seen), "view.objects.none");
 }
 

@@ -1,10 +1,7 @@
 // Clicks as objects: which points of a surface a click means, and clicks from a file.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <set>
 
 #include "formats/image_io.h"

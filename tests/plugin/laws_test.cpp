@@ -2,8 +2,6 @@
 
 #include "testkit/laws.h"
 
-#include <gtest/gtest.h>
-
 #include <atomic>
 #include <set>
 #include <string>

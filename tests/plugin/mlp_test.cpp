@@ -1,8 +1,6 @@
 // Networks of layers as a field of every kind of layer: an independent forward, the laws of fields with every saving in
 // every precision, gradients of every set of outputs, what is dropped, memory.
-#include <gtest/gtest.h>
 
-#include <algorithm>
 #include <map>
 
 #include "plugin/mlp/field.h"

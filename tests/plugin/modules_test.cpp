@@ -11,7 +11,6 @@
 namespace semfield {
 namespace {
 
-namespace fs = std::filesystem;
 using testing_room::fresh_folder;
 
 std::string probe(const std::string& name) { return std::string(SEMFIELD_PROBES) + "/probe_" + name + ".so"; }

@@ -1,13 +1,8 @@
 // The registry: names, near misses, order, kernel tables; its reference pages; the testkit itself.
 
-#include "plugin/registry.h"
-
 #include <unistd.h>
 
 #include <algorithm>
-#include <filesystem>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
 
 #include "plugin/field.h"
@@ -275,8 +270,7 @@ std::string message_of(const Call& call) {
   return error_of(ErrorKind::internal, call);
 }
 
-class CheckedEncoder : public testing::Test {
- protected:
+struct CheckedEncoder : testing::Test {
   KernelTables kernels;
   toy::ToyEncoder<float> encoder{toy::ToyParams{}, EncoderBuild{}, kernels};
   testkit::TensorBox<float> box{encoder, 1};
@@ -340,8 +334,7 @@ class FormField final : public Field<float> {
   FeatureForm most_;
 };
 
-class CheckedFieldForms : public testing::Test {
- protected:
+struct CheckedFieldForms : testing::Test {
   std::string forward(const FormField& field, const FieldOut<float>& out) {
     return message_of([&] { field.forward(StepContext{}, {}, in(), out, {}); });
   }

@@ -1,12 +1,9 @@
 // Ranks that are threads, which tests of several ranks rely on, and ranks as launchers name them.
 
-#include "execution/ranks/ranks.h"
-
 #include <cstdlib>
 #include <set>
 
 #include "compute/parallel.h"
-#include "core/error.h"
 #include "execution/lane_executor.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/says.h"

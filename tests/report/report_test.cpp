@@ -1,7 +1,6 @@
 // What a report reads from run folders, and the page around it. report_page_test.py looks at the page in a browser.
 #include "eval/report/report.h"
 
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "eval/final_eval.h"
@@ -14,7 +13,6 @@
 namespace semfield {
 namespace {
 
-namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 // A run folder with three training rows and an evaluation of each split.

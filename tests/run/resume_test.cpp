@@ -11,7 +11,6 @@
 #include "train/metrics_log.h"
 #include "train/run_folder.h"
 #include "train/run_scores.h"
-#include "train/trainer.h"
 
 namespace semfield {
 namespace {
@@ -126,8 +125,6 @@ TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
 // The length of a run: stated in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
 // counted.
 
-namespace fs = std::filesystem;
-
 constexpr double kStep_s = 0.25;
 
 /// Every step takes `step_s()` by this clock.
@@ -161,8 +158,7 @@ class CountedSteps final : public RunListener {
   std::int64_t step_ = 0;
 };
 
-class RunLengthTest : public ::testing::Test {
- protected:
+struct RunLengthTest : ::testing::Test {
   RunConfig config(const std::string& more = "") {
     return config_of(hash_config("report: {eval_every_s: 0, checkpoint_every_s: 0}\n" + more), registry_);
   }

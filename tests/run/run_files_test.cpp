@@ -1,7 +1,6 @@
 // Tensor files, checkpoints and the run folder: round trips, every damage refused, a good checkpoint at every moment.
 
 #include <signal.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <array>
@@ -22,10 +21,7 @@
 namespace semfield {
 namespace {
 
-namespace fs = std::filesystem;
-
-class Folder : public ::testing::Test {
- protected:
+struct Folder : ::testing::Test {
   std::string in(const std::string& name) const { return dir_ / name; }
   const TempDir dir_;
   const std::string& path_ = dir_.path();
@@ -268,8 +264,7 @@ TEST(Outlook, ABriefTrainingIsToldForHowLongToGoOn) {
 
 // metrics.jsonl, read back also by code that shares nothing with its writer.
 
-class LogTest : public ::testing::Test {
- protected:
+struct LogTest : ::testing::Test {
   std::string in(const std::string& name) const { return dir_ / name; }
   const TempDir dir_;
 };

@@ -196,12 +196,9 @@ TEST(SameRun, AChangedFileOfAPluginIsTold) {
 
 // A run driven step by step: the bits and the folder of the whole run, saved here and there, gone on with.
 
-namespace fs = std::filesystem;
-
 constexpr int kSteps = 20;
 
-class DrivenRun : public ::testing::Test {
- protected:
+struct DrivenRun : ::testing::Test {
   DrivenRun() { write_packed_config(dir_, kSteps, 0); }
   RunConfig config(const std::vector<std::string>& set = {}) {
     return load_run_config(dir_ / "config.yaml", set, registry_);

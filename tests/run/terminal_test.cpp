@@ -1,8 +1,6 @@
 // What long work says of itself, the live line's width, and notes of whole words; on a real terminal: process_test.py.
 #include "app/terminal.h"
 
-#include <gtest/gtest.h>
-
 #include "tests/says.h"
 
 namespace semfield {

@@ -1,24 +1,17 @@
 // Files of a scene: images, arrays, writing and locking, names.
-#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <sys/wait.h>
-#include <zlib.h>
 
 #include <csignal>
-#include <cstdint>
-#include <cstring>
 #include <numeric>
-#include <string>
-#include <vector>
 
 #include "core/files.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "core/workspace.h"
 #include "formats/image_io.h"
-#include "formats/npz.h"
 #include "formats/text_rows.h"
 #include "scene/loading/frame_files.h"
 #include "scene/loading/frame_source.h"
@@ -108,7 +101,7 @@ TEST(Png, AlphaOverBackgroundOrDropped) {
 
 TEST(Images, TruncatedJpegIsAnErrorNamingTheFile) {
   const std::string source = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/studio_room/images/0001.jpg";
-  if (!images_available() || !std::filesystem::exists(source))
+  if (!images_available() || !fs::exists(source))
     GTEST_SKIP() << "needs OpenImageIO and a JPEG of the optional studio room";
   const std::string path = fresh_folder("i") + "/a.jpg";
   write_file_atomic(path, read_text_file(source));  // not its mode: the original may be read-only
@@ -250,7 +243,7 @@ TEST(PackedScene, FailingSourceLeavesNoFile) {
   const SceneInfo info = room_info(2);
   const auto broken = [](int, FrameBuffer&) { throw Error(ErrorKind::data, "test.error.made", "broken frame"); };
   EXPECT_THROW(write_packed_scene(folder + "/a", info, broken), Error);
-  EXPECT_TRUE(std::filesystem::is_empty(folder));
+  EXPECT_TRUE(fs::is_empty(folder));
 }
 
 // NumPy arrays: types, orders, archives, and files that lie.
@@ -471,8 +464,6 @@ TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
 }
 
 // Whole files, atomically; frames as they are kept in memory; which frames are held out.
-
-namespace fs = std::filesystem;
 
 std::size_t entries(const std::string& folder) {
   std::size_t count = 0;
@@ -784,8 +775,8 @@ TEST(UnicodeForms, ComposedCharactersAreTakenApart) {
 
 TEST(FileNames, OfOtherSystems) {
   const std::string folder = fresh_folder("f"), apart = "cafe\u0301", composed = "caf\u00E9";
-  for (const char* sub : {"/a", "/both"}) std::filesystem::create_directories(folder + sub + "/" + apart);
-  std::filesystem::create_directories(folder + "/both/" + composed);
+  for (const char* sub : {"/a", "/both"}) fs::create_directories(folder + sub + "/" + apart);
+  fs::create_directories(folder + "/both/" + composed);
   plain_write(folder + "/a/" + apart + "/1.png", "x");
   plain_write(folder + "/a\\2.png", "x");
   plain_write(folder + "/both/" + apart + "/1.png", "x");

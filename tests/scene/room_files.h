@@ -86,7 +86,6 @@ inline constexpr const char* kClassesYaml =
 
 /// Writes `frames` frames in Replica layout into `folder`.
 inline void write_replica(const std::string& folder, int frames, int width = 40, int height = 30) {
-  namespace fs = std::filesystem;
   for (const char* name : {"rgb", "depth", "semantic_class", "semantic_instance"})
     fs::create_directories(fs::path(folder) / name);
   std::string trajectory;

@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <cmath>
 #include <random>
 #include <set>
@@ -11,7 +10,6 @@
 #include "scene/camera.h"
 #include "scene/classes/class_table.h"
 #include "scene/loading/frame_files.h"
-#include "scene/survey/bundle.h"
 #include "tests/scene/bundle_error.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -555,7 +555,6 @@ TEST_F(ServedPage, ARunKeepsItsTokenForItsUserAlone) {
 }
 
 TEST_F(ServedPage, AMovedRunKeepsItsIdAndACopyGetsItsOwn) {
-  namespace fs = std::filesystem;
   const std::string first = folder_ + "/first", moved = folder_ + "/moved", copied = folder_ + "/copied";
   fs::create_directory(first);
   const std::string id = kept_run_id(first), token = kept_token(first);

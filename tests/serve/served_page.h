@@ -235,8 +235,7 @@ class FakeSource final : public LabelSource {
   std::vector<LabelEvent> events_;
 };
 
-class ServedPage : public ::testing::Test {
- protected:
+struct ServedPage : ::testing::Test {
   ServedPage() { start(); }
 
   PageOptions options() const {

@@ -1,14 +1,12 @@
 // The same bits for any number of threads and any grouping of rays, on real training runs.
 
 #include <cmath>
-#include <cstdlib>
 #include <numeric>
 
 #include "compute/parallel.h"
 #include "config/config_words.h"
 #include "core/checksum.h"
 #include "eval/evaluator.h"
-#include "execution/lane_executor.h"
 #include "tests/session/oracle.h"
 #include "tests/session/step_configs.h"
 #include "train/trainer.h"

@@ -3,11 +3,9 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 
-#include "compute/parallel.h"
 #include "config/settings/choices.h"
 #include "datasets/obj_room/obj_room.h"
 #include "execution/lane_executor.h"
-#include "tests/says.h"
 #include "tests/session/train_testing.h"
 #include "tests/threads.h"
 #include "train/assembly.h"

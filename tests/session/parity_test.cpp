@@ -6,7 +6,6 @@
 #include "config/settings/choices.h"
 #include "core/rng.h"
 #include "eval/evaluator.h"
-#include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"
 #include "tests/plugin/toy_encoder.h"

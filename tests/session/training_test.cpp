@@ -5,7 +5,6 @@
 #include "labels/clicks.h"
 #include "tests/session/train_testing.h"
 #include "train/assembly.h"
-#include "train/trainer.h"
 
 namespace semfield {
 namespace {

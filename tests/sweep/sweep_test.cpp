@@ -2,8 +2,6 @@
 
 #include "eval/report/sweep.h"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
@@ -12,7 +10,6 @@
 #include <thread>
 
 #include "app/sweep/sweep_work.h"
-#include "config/settings/run_config.h"
 #include "plugin/loader.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
@@ -20,10 +17,7 @@
 namespace semfield {
 namespace {
 
-namespace fs = std::filesystem;
-
-class SweepFile : public testing::Test {
- protected:
+struct SweepFile : testing::Test {
   void SetUp() override {
     write("base.yaml",
           "scene: {type: replica, root: walk}\n"
@@ -367,8 +361,7 @@ struct LogLine {
   std::string what, device, cell, rank;
 };
 
-class CellPool : public testing::Test {
- protected:
+struct CellPool : testing::Test {
   void SetUp() override {
     folder_ = testing_room::fresh_folder("pool");
     options_.folder = folder_ + "/out";

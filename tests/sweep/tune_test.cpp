@@ -4,11 +4,9 @@
 
 #include <algorithm>
 #include <functional>
-#include <map>
 #include <set>
 
 #include "config/config_words.h"
-#include "config/settings/run_config.h"
 #include "plugin/loader.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
@@ -235,8 +233,7 @@ TEST_F(Tuning, AStoppedRaceContinuesFromItsRecord) {
   }
 }
 
-class TuneFiles : public testing::Test {
- protected:
+struct TuneFiles : testing::Test {
   void SetUp() override {
     register_linked_plugins(registry_);
     write("base.yaml",

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <utility>
 
 #include "compute/isa.h"
@@ -520,7 +519,7 @@ void require_scene_places(const RunConfig& config, const std::string& run_dir) {
     if (!setting.key.starts_with("scene.") || is_part_of_identity(setting.key)) continue;
     if (setting.key == "scene.labels.clicks") continue;  // which Run opens
     const std::string place = parse_config_value(setting.value, setting.key).text();
-    if (place.empty() || is_there(std::filesystem::path(config.base_dir) / place)) continue;
+    if (place.empty() || is_there(fs::path(config.base_dir) / place)) continue;
     throw Error(ErrorKind::no_input, "run.scene.moved",
                 "'" + place + "' is not there, where " + setting.key + " of the run '" + run_dir + "' points",
                 "if the data moved, add --set " + setting.key + "=NEW_PLACE");

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <filesystem>
 #include <initializer_list>
 
 #include "config/config_words.h"
@@ -127,7 +126,6 @@ class Reading {
   // The path of the key `clicks` becomes absolute. In a run.yaml a relative one starts at the run's folder; an absolute
   // one of the run's own file gives way to that file where it lies next to the run.yaml.
   void click_file() {
-    namespace fs = std::filesystem;
     const ConfigNode* value = tree_.find_path("scene.labels.clicks");
     if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
     std::string& clicks = config_.labels.selection.clicks;

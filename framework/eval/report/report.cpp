@@ -4,12 +4,10 @@
 
 #include <array>
 #include <charconv>
-#include <filesystem>
 #include <initializer_list>
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <set>
-#include <span>
 
 #include "config/config_tree.h"
 #include "core/checksum.h"
@@ -81,8 +79,6 @@ std::string filled_page(const std::string& page, std::map<std::string, std::stri
   throw Error(ErrorKind::no_input, "files.shared.missing", "the page has no place '" + parts.begin()->first + "'",
               "install the component 'app' whole, or run the program from its build folder");
 }
-
-namespace fs = std::filesystem;
 
 namespace {
 

@@ -5,15 +5,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstddef>
-#include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <span>
-#include <string_view>
 
-#include "config/config_words.h"
 #include "config/params.h"
 #include "config/settings/run_config.h"
 #include "core/check.h"
@@ -145,7 +140,7 @@ class Reader {
     if (map == nullptr && base != nullptr && base->is_scalar() && tree.find("use_scenes") == nullptr) {
       SweepScene own;  // the base's
       own.base = base_file(*base);
-      own.name = std::filesystem::path(own.base).stem().string();
+      own.name = fs::path(own.base).stem().string();
       e.scenes.push_back(std::move(own));
       return;
     }
@@ -256,7 +251,7 @@ class Reader {
   Diagnostics& diagnostics_;
 };
 
-std::string stem_of(const std::string& path) { return std::filesystem::path(path).stem().string(); }
+std::string stem_of(const std::string& path) { return fs::path(path).stem().string(); }
 
 }  // namespace
 
@@ -312,7 +307,7 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
     RunConfig config = read_run_config(compose_config_with(base, set), registry, found);
     config.name = scene.name;
     // Not the working folder: from wherever a sweep is started, its cells are the same.
-    config.base_dir = std::filesystem::path(base).parent_path().string();
+    config.base_dir = fs::path(base).parent_path().string();
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];
     if (!variant.objects.empty()) config.objects.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
@@ -427,7 +422,7 @@ void write_cell_result(const std::string& path, const CellValues& values) {
 }
 
 std::optional<CellValues> read_cell_result(const std::string& path) {
-  if (!std::filesystem::exists(path)) return std::nullopt;
+  if (!fs::exists(path)) return std::nullopt;
   const Json root = parse(read_text_file(path), path);
   if (!root.is_object() || !root.contains("values") || !root["values"].is_object())
     throw Error(ErrorKind::data, "sweep.result.damaged", path + ": no map 'values' in it",

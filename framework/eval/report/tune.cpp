@@ -11,9 +11,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 #include <tuple>
-#include <utility>
 
-#include "config/config_words.h"
 #include "config/settings/choices.h"
 #include "config/settings/run_config.h"
 #include "core/error.h"

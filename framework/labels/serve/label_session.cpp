@@ -3,32 +3,21 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <exception>
-#include <filesystem>
-#include <functional>
 #include <iterator>
 #include <map>
-#include <memory>
-#include <mutex>
 #include <numeric>
-#include <optional>
-#include <string>
 #include <tuple>
 #include <utility>
-#include <vector>
 
 #include "core/checksum.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"
-#include "formats/image_io.h"
-#include "labels/clicks.h"
 #include "labels/labelling_record.h"
 #include "labels/mask_outlines.h"
-#include "labels/serve/view_pictures.h"
 #include "labels/training_labels.h"
 
 namespace semfield {
@@ -380,8 +369,8 @@ LabelledRun open_labelling(RunConfig config, Registry& registry, const LabelSess
   TrainRequest request;
   request.driver = Driver::page;
   request.out_dir = options.run_dir;
-  const std::filesystem::path folder = std::filesystem::absolute(options.run_dir);
-  request.resume = std::filesystem::exists(folder / "run.yaml");
+  const fs::path folder = fs::absolute(options.run_dir);
+  request.resume = fs::exists(folder / "run.yaml");
   LabelParams& labels = config.labels.selection;
   if (labels.clicks.empty()) labels.clicks = (folder / kClickFile).string();
   if (labels.class_room == 0) labels.class_room = options.class_room > 0 ? options.class_room : kClassRoom;
@@ -431,7 +420,7 @@ LabelSession::LabelSession(LabelledRun labelled_run)
   first->notes = std::move(labelled_run.warnings);
   name_classes(*first);
   // Until the surface is known again, what the run knew of it when it stopped.
-  if (const std::string path = run_->folder()->labelling_path(); std::filesystem::is_regular_file(path))
+  if (const std::string path = run_->folder()->labelling_path(); fs::is_regular_file(path))
     for (const LabellingRecord::Class& one : parse_labelling_record(read_text_file(path), path).classes)
       for (ClassState& cls : first->classes)
         if (cls.id == one.id) std::tie(cls.area_share, cls.confidence) = std::tie(one.area_share, one.confidence);

@@ -1,9 +1,7 @@
 #include "labels/serve/proposals.h"
 
-#include <algorithm>
 #include <array>
 #include <cmath>
-#include <iterator>
 
 #include "compute/parallel.h"
 #include "core/rng.h"

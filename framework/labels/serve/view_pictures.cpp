@@ -3,18 +3,14 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cmath>
-#include <filesystem>
-#include <utility>
 
 #include "compute/parallel.h"
 #include "core/files.h"
 #include "eval/photo_edges.h"
 #include "formats/image_io.h"
 #include "labels/segments.h"
-#include "labels/serve/label_loop.h"
 
 namespace semfield {
 

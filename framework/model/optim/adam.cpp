@@ -1,13 +1,11 @@
 // Adam updates, cut into ranges of rows; the loops are in adam_kernels.cpp.
 #include "model/optim/adam.h"
 
-#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <limits>
 
 #include "compute/isa.h"
-#include "compute/parallel.h"
 #include "core/check.h"
 #include "isa_list.h"
 

@@ -2,9 +2,7 @@
 #include "plugin/mlp/field.h"
 
 #include <array>
-#include <string>
 
-#include "core/check.h"
 #include "core/error.h"
 
 namespace semfield {

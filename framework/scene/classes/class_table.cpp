@@ -7,21 +7,15 @@
 #include <cctype>
 #include <charconv>
 #include <cmath>
-#include <filesystem>
 #include <functional>
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <set>
-#include <span>
-#include <string>
-#include <string_view>
 #include <utility>
 
 #include "config/config_tree.h"
 #include "core/check.h"
-#include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"
 #include "formats/text_rows.h"
@@ -252,7 +246,7 @@ std::int32_t ClassTable::id_of(int index) const {
 }
 
 ClassTable ClassTable::load(const std::string& path) {
-  const std::string extension = std::filesystem::path(path).extension().string();
+  const std::string extension = fs::path(path).extension().string();
   try {
     if (extension == ".csv") return load_csv(path);
     if (extension == ".json") return load_json(path);
@@ -567,7 +561,7 @@ ClassTable load_scannet_classes(const std::string& path, ScannetIds ids) {
 }
 
 ClassTable import_classes(const std::string& path) {
-  const std::string extension = std::filesystem::path(path).extension().string();
+  const std::string extension = fs::path(path).extension().string();
   if (extension == ".txt") return load_cvat_labelmap(path);
   if (extension == ".tsv") return load_scannet_classes(path, ScannetIds::raw);
   return ClassTable::load(path);

@@ -4,10 +4,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <map>
 
 #include "core/files.h"
@@ -16,8 +14,6 @@
 #include "scene/camera.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

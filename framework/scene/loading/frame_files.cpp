@@ -4,24 +4,14 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <filesystem>
-#include <iterator>
 #include <limits>
 
 #include "core/check.h"
-#include "core/error.h"
 #include "core/files.h"
-#include "core/text.h"
-#include "formats/image_io.h"
 #include "formats/npz.h"
-#include "formats/text_rows.h"
-#include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

@@ -11,12 +11,9 @@
 #include <set>
 
 #include "compute/parallel.h"
-#include "config/params.h"
 #include "core/check.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "scene/scene.h"
-#include "scene/survey/geometry_survey.h"
 
 namespace semfield {
 

@@ -1,7 +1,6 @@
 // Packed scenes: writer and reader.
 #include "scene/loading/packed_scene.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -13,14 +12,11 @@
 #include <cmath>
 #include <cstring>
 #include <new>
-#include <optional>
 #include <span>
 #include <utility>
 
 #include "core/checksum.h"
-#include "core/files.h"
 #include "formats/image_io.h"
-#include "scene/scene.h"
 
 namespace semfield {
 

@@ -6,21 +6,14 @@
 #include <array>
 #include <cctype>
 #include <cmath>
-#include <filesystem>
 
-#include "config/params.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"
-#include "formats/image_io.h"
 #include "formats/npz.h"
-#include "scene/loading/frame_files.h"
 #include "scene/loading/frame_source.h"
-#include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 void describe(ParamVisitor& visit, PhotographParams& p) {
   SEMFIELD_PARAM(visit, p, root, "folder of the scene");

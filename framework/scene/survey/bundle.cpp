@@ -9,7 +9,6 @@
 #include <tuple>
 
 #include "formats/image_io.h"
-#include "scene/camera.h"
 
 namespace semfield {
 

@@ -12,7 +12,6 @@
 #include "core/small_math.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "surface/surface_graph.h"
 namespace semfield {
 
 namespace {

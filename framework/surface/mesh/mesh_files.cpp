@@ -5,15 +5,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <limits>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
 
 #include "core/error.h"
-#include "surface/mesh/surface.h"
 
 namespace semfield {
 
@@ -76,7 +73,7 @@ void write_ply(const std::string& path, const PointSet& points, const ClassTable
 
 void write_obj(const std::string& path, const Surface& surface, const ClassTable& classes) {
   const std::vector<ClassGroup> groups = class_groups(surface, classes);
-  const std::filesystem::path mtl = std::filesystem::path(path).replace_extension(".mtl");
+  const fs::path mtl = fs::path(path).replace_extension(".mtl");
   write_mtl(mtl.string(), groups);
   BufferedFile file(path);
   file.text(fmt::format("# Semfield: world frame and scale of the input; colours follow the coordinates\nmtllib {}\n",

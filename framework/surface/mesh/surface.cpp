@@ -1,9 +1,6 @@
 #include "surface/mesh/surface.h"
 
-#include <algorithm>
 #include <cmath>
-#include <numeric>
-#include <utility>
 
 #include "core/check.h"
 #include "core/joined_sets.h"

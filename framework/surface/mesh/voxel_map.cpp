@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
-#include <filesystem>
 #include <limits>
 #include <memory>
 
@@ -14,7 +12,6 @@
 #include "core/files.h"
 #include "formats/npz.h"
 #include "formats/zip_archive.h"
-#include "surface/mesh/mesh_files.h"
 
 namespace semfield {
 
@@ -366,8 +363,8 @@ std::string write_costmap(const std::string& path, const Costmap& map) {
   std::string image = fmt::format("P5\n{} {}\n255\n", map.width, map.height);
   for (const VoxelState state : map.cells)
     image += static_cast<char>(state == VoxelState::occupied ? 0 : state == VoxelState::free ? 254 : 205);
-  const std::filesystem::path file(path);
-  const std::string yaml = std::filesystem::path(file).replace_extension(".yaml").string();
+  const fs::path file(path);
+  const std::string yaml = fs::path(file).replace_extension(".yaml").string();
   constexpr std::string_view kAxes = "xyz";
   write_file_atomic(path, image);
   write_file_atomic(yaml, fmt::format("# Semfield: {} of the input to the right, {} up; {:.4g} to {:.4g} above the "

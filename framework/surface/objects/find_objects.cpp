@@ -8,7 +8,6 @@
 #include <map>
 #include <numeric>
 #include <set>
-#include <utility>
 
 #include "compute/parallel.h"
 #include "core/joined_sets.h"

@@ -7,7 +7,6 @@
 #include <type_traits>
 
 #include "compute/isa.h"
-#include "compute/parallel.h"
 #include "core/rng.h"
 #include "execution/device_library.h"
 #include "model/optim/adam.h"

@@ -5,14 +5,10 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <cstring>
-#include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <set>
-#include <span>
 #include <type_traits>
 
 #include "compute/parallel.h"
@@ -737,7 +733,7 @@ ObjectEdit parse_object_edit(std::string_view json, const std::string& where) {
 
 ObjectEdits read_object_edits(const std::string& path) {
   ObjectEdits out;
-  if (!std::filesystem::exists(path)) return out;
+  if (!fs::exists(path)) return out;
   const OrderedJson root = OrderedJson::parse(read_text_file(path), nullptr, false);
   if (!root.is_object() || !root.contains("objects") || !root["objects"].is_string() || !root.contains("edits") ||
       !root["edits"].is_array())
@@ -782,7 +778,7 @@ void apply_edits(ObjectSet& set, const ObjectEdits& edits, const std::string& fi
 }
 
 EditedObjects read_edited_objects(const std::string& folder, int classes) {
-  const std::filesystem::path in(folder);
+  const fs::path in(folder);
   const std::string file = (in / "edits.json").string();
   EditedObjects out;
   out.set = read_object_set((in / "found.safetensors").string(), classes);

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <map>
 
 #include "core/files.h"
@@ -14,8 +13,6 @@
 #include "scene/loading/posed_photographs.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 struct ArkitScenesParams : PhotographParams {};
 

@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <cmath>
-#include <filesystem>
 
 #include "core/files.h"
 #include "scene/camera.h"
@@ -11,8 +10,6 @@
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
-
-namespace fs = std::filesystem;
 
 SEMFIELD_DATASET_SAMPLE(arkit_scenes) {
   const fs::path root(folder);

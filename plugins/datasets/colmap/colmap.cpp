@@ -1,7 +1,6 @@
 // COLMAP sparse models with their images; label images beside them where there are any.
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <initializer_list>
 #include <utility>
 #include <vector>
@@ -15,8 +14,6 @@
 #include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 /// Its keys are those of PhotographParams but `every` and `least_confidence`.
 struct ColmapParams : PhotographParams {

@@ -1,5 +1,4 @@
 // A tiny scene with a COLMAP model in text, made of images twice as large as those on disk.
-#include <filesystem>
 #include <sstream>
 
 #include "core/files.h"
@@ -26,8 +25,8 @@ SEMFIELD_DATASET_SAMPLE(colmap) {
     images << i + 1 << ' ' << q[0] << ' ' << q[1] << ' ' << q[2] << ' ' << q[3] << ' ' << t.x << ' ' << t.y << ' '
            << t.z << " 1 view_" << i << ".png\n\n";
   }
-  const std::filesystem::path model = std::filesystem::path(folder) / "sparse/0";
-  std::filesystem::create_directories(model);
+  const fs::path model = fs::path(folder) / "sparse/0";
+  fs::create_directories(model);
   write_file_atomic((model / "cameras.txt").string(), cameras.str());
   write_file_atomic((model / "images.txt").string(), images.str());
   return image_sample({{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}}, false);

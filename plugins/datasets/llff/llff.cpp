@@ -1,7 +1,6 @@
 // LLFF scenes: poses_bounds.npy and a folder of images in the order of their names.
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 
 #include "core/files.h"
 #include "formats/image_io.h"
@@ -12,8 +11,6 @@
 #include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 /// Its keys are those of PhotographParams but `every`, `least_confidence` and `missing`.
 struct LlffParams : PhotographParams {

@@ -13,7 +13,6 @@
 #include <fmt/format.h>
 
 #include <charconv>
-#include <filesystem>
 #include <set>
 #include <sstream>
 #include <string_view>
@@ -28,8 +27,6 @@ namespace semfield {
 
 #ifdef SEMFIELD_WITH_RAYCAST
 namespace {
-
-namespace fs = std::filesystem;
 
 /// What a first look at the text gives: lines of faces (for messages) and names of MTL files.
 struct Outline {

@@ -4,8 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <map>
 #include <type_traits>
 
 #include "compute/parallel.h"
@@ -621,8 +619,6 @@ bool Mask::opaque(float u, float v) const {
 }
 
 namespace {
-
-namespace fs = std::filesystem;
 
 // Size and time of the file that holds this code: another build may cast other pictures.
 std::string program_stamp() {

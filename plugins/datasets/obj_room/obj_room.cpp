@@ -5,8 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <map>
 #include <numbers>
 #include <tuple>
 
@@ -19,7 +17,6 @@
 
 namespace semfield {
 
-namespace fs = std::filesystem;
 using std::numbers::pi;
 
 enum class UpAxis : std::uint8_t { y, z };

@@ -1,5 +1,4 @@
 // Packed scenes: one file written by `semfield pack`; needs no image library.
-#include <filesystem>
 #include <memory>
 #include <string>
 
@@ -45,7 +44,7 @@ std::string recognise(const std::string& path, PackedParams& p) {
   if (is_file(path)) {
     if (begins_as_pack(path)) found.push_back(path);
   } else {
-    for (std::filesystem::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {
+    for (fs::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {
       if (it->is_regular_file(unknown) && begins_as_pack(it->path().string())) found.push_back(it->path().string());
     }
   }
@@ -57,7 +56,7 @@ std::string recognise(const std::string& path, PackedParams& p) {
 class Packed final : public Dataset {
  public:
   Packed(const PackedParams& params, const DatasetBuild& build)
-      : path_((std::filesystem::path(build.config_dir) / params.file).string()) {}
+      : path_((fs::path(build.config_dir) / params.file).string()) {}
 
   SceneInfo open(Diagnostics& diagnostics) override {
     scene_.reset();  // before another is opened

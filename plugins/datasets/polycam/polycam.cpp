@@ -1,5 +1,4 @@
 // Raw exports of Polycam from a phone with LiDAR: keyframes/ with images, cameras, depth and confidence.
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
@@ -10,7 +9,6 @@
 
 namespace semfield {
 
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 struct PolycamParams : PhotographParams {};

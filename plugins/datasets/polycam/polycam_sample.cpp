@@ -1,5 +1,4 @@
 // A tiny raw export of Polycam: names are times in microseconds, and every depth is of high confidence.
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
@@ -9,8 +8,6 @@
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
-
-namespace fs = std::filesystem;
 
 SEMFIELD_DATASET_SAMPLE(polycam) {
   const fs::path root(folder);

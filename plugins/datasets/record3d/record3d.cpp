@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <array>
-#include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
 
@@ -16,7 +15,6 @@
 
 namespace semfield {
 
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 struct Record3dParams : PhotographParams {};

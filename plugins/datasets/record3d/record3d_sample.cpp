@@ -1,5 +1,4 @@
 // A tiny Record3D export: every third frame of a recording, colour twice as large as depth.
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
@@ -11,8 +10,6 @@
 #include "tests/scene/image_bytes.h"
 
 namespace semfield::testkit {
-
-namespace fs = std::filesystem;
 
 SEMFIELD_DATASET_SAMPLE(record3d) {
   constexpr std::size_t kEvery = 3;

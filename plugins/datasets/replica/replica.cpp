@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <filesystem>
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -28,7 +27,6 @@
 
 namespace semfield {
 
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 enum class ReplicaSplit { by_steps, paper };

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
@@ -21,8 +20,6 @@
 #include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 SEMFIELD_CHOICES(ScannetIds, "raw", "nyu40", "eigen13");
 

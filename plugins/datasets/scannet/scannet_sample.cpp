@@ -1,16 +1,12 @@
 // A tiny exported ScanNet scene: colour twice as large as depth and labels, raw ids in 16 bits.
 #include <fmt/format.h>
 
-#include <filesystem>
-
 #include "core/files.h"
 #include "formats/image_io.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
-
-namespace fs = std::filesystem;
 
 namespace {
 

@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <cmath>
-#include <filesystem>
 #include <map>
 
 #include "core/files.h"
@@ -15,8 +14,6 @@
 #include "scene/scene.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 struct StrayScannerParams : PhotographParams {};
 

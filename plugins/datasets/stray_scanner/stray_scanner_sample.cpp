@@ -1,8 +1,6 @@
 // A tiny recording of Stray Scanner whose video was taken apart.
 #include <fmt/format.h>
 
-#include <filesystem>
-
 #include "core/files.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -10,8 +8,6 @@
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
-
-namespace fs = std::filesystem;
 
 SEMFIELD_DATASET_SAMPLE(stray_scanner) {
   const fs::path root(folder);

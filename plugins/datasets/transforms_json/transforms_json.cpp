@@ -5,7 +5,6 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -28,7 +27,6 @@
 
 namespace semfield {
 
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 /// Intrinsics as written; a frame's own values override the file's. Image size 0 where only the image can tell.

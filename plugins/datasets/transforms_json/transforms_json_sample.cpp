@@ -1,5 +1,4 @@
 // A tiny scene with a transforms.json, whose cameras look along -z with y up.
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
@@ -26,7 +25,7 @@ SEMFIELD_DATASET_SAMPLE(transforms_json) {
                                {"label_path", "labels/" + file},
                                {"transform_matrix", matrix}});
   }
-  write_file_atomic((std::filesystem::path(folder) / "transforms.json").string(), index.dump(1));
+  write_file_atomic((fs::path(folder) / "transforms.json").string(), index.dump(1));
   return image_sample({{"root", "."}, {"test_every", "4"}});
 }
 

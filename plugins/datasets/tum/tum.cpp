@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <filesystem>
 #include <iterator>
 #include <map>
 #include <optional>
@@ -20,8 +19,6 @@
 #include "scene/loading/posed_photographs.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 struct TumParams : PhotographParams {
   std::vector<double> lens;  ///< fx fy cx cy, or these and k1 k2 p1 p2 k3; empty: by the name of the folder

@@ -1,8 +1,6 @@
 // A tiny recording in the layout of the TUM RGB-D benchmark.
 #include <fmt/format.h>
 
-#include <filesystem>
-
 #include "core/files.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
@@ -10,8 +8,6 @@
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
-
-namespace fs = std::filesystem;
 
 SEMFIELD_DATASET_SAMPLE(tum) {
   const fs::path root(folder);

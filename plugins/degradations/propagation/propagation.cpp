@@ -1,6 +1,5 @@
 // Propagation: a frame keeps one click, or one grown region, of each class that it shows.
 #include <algorithm>
-#include <numeric>
 
 #include "core/rng.h"
 #include "labels/training_labels.h"

@@ -2,8 +2,6 @@
 
 #include "encoders/hash_grid/hash_grid.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 
 #include "core/rng.h"

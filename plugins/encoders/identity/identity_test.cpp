@@ -1,5 +1,4 @@
 // Tests of the identity encoder; case C06 of tests/numerics has what it refuses.
-#include <gtest/gtest.h>
 
 #include "tests/conformance/rows.h"
 #include "tests/encoder_box.h"

@@ -1,5 +1,4 @@
 // Tests of the spherical harmonics: orthonormality and known values; case C07 of tests/numerics has directions.
-#include <gtest/gtest.h>
 
 #include "tests/conformance/rows.h"
 #include "tests/encoder_box.h"

@@ -1,7 +1,6 @@
 // Parameters, tensors and registration of the NeRF network.
 #include "fields/nerf_mlp/nerf_mlp.h"
 
-#include <string>
 #include <utility>
 
 #include "plugin/module.h"

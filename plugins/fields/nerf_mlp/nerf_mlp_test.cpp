@@ -1,11 +1,7 @@
 // Tests of the NeRF network: parameter count, an independent forward. Mlp of tests/plugin has the savings.
 #include "fields/nerf_mlp/nerf_mlp.h"
 
-#include <algorithm>
-#include <utility>
-
 #include "plugin/registry.h"
-#include "testkit/benches.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "tests/plain_network.h"
@@ -27,8 +23,7 @@ FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, boo
 std::int64_t learned_count(const NerfMlpParams& params, const FieldBuild& build) {
   std::int64_t learned = 0;
   const TensorBox<float> box(NerfMlp<float>(params, build, mlp_tables()), 1);
-  for (const TensorSpec& spec : box.specs())
-    learned += spec.role == TensorRole::dense ? spec.rows * spec.cols : 0;
+  for (const TensorSpec& spec : box.specs()) learned += spec.role == TensorRole::dense ? spec.rows * spec.cols : 0;
   return learned;
 }
 

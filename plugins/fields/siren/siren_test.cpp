@@ -1,7 +1,5 @@
 // Tests of the field of sines: an independent forward, and how it starts.
-#include <gtest/gtest.h>
 
-#include "testkit/benches.h"
 #include "testkit/laws.h"
 #include "tests/linked_registry.h"
 #include "tests/plain_network.h"

@@ -1,7 +1,6 @@
 // Parameters, tensors and registration of the small network.
 #include "fields/tiny_mlp/tiny_mlp.h"
 
-#include <string>
 #include <utility>
 
 #include "plugin/module.h"

@@ -1,10 +1,7 @@
 // Tests of the small network: an independent forward, its feature alone. Mlp of tests/plugin has the saving.
 #include "fields/tiny_mlp/tiny_mlp.h"
 
-#include <algorithm>
-
 #include "plugin/registry.h"
-#include "testkit/benches.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "tests/plain_network.h"

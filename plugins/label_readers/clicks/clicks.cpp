@@ -4,7 +4,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <filesystem>
 #include <optional>
 #include <tuple>
 
@@ -58,7 +57,7 @@ ImageSize clicked_size(const FrameInfo& frame) {
 
 // By its extension, or by its first character: a CSV file begins with the name of a frame.
 bool holds_events(const std::string& path) {
-  if (std::filesystem::path(path).extension() == ".jsonl") return true;
+  if (fs::path(path).extension() == ".jsonl") return true;
   const std::string start = read_file_start(path, 4096);
   const std::size_t first = start.find_first_not_of(" \t\r\n");
   return first != std::string::npos && start[first] == '{';

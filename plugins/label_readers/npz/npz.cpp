@@ -4,8 +4,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cmath>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "core/files.h"
@@ -99,7 +97,7 @@ class NpzReader : public LabelReader {
     order_.clear();
     files_.clear();
     if (!check_folder(folder, pattern, diagnostics)) return {};
-    order_path_ = classes.empty() ? (std::filesystem::path(folder) / "classes.json").string() : classes;
+    order_path_ = classes.empty() ? (fs::path(folder) / "classes.json").string() : classes;
     ProblemList problems(diagnostics);
     problems.collect([&] { order_ = read_class_order(order_path_); });
     if (problems.count() > 0) return known;

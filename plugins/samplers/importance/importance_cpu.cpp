@@ -1,7 +1,6 @@
 // CPU kernels of the importance sampler: a ray after the other, CDF and new points in one walk, then a merge.
 #include <algorithm>
 #include <cmath>
-#include <string>
 
 #include "compute/isa.h"
 #include "core/check.h"

@@ -3,13 +3,10 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <limits>
-#include <string>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/check.h"
-#include "core/error.h"
 #include "plugin/kernels.h"
 #include "plugin/quadrature.h"
 #include "samplers/occupancy_grid/occupancy_grid_kernels.h"

@@ -3,12 +3,9 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "testkit/compare.h"
-#include "testkit/laws.h"
 #include "tests/linked_registry.h"
 #include "tests/numerics/ray_bench.h"
 

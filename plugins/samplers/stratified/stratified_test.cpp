@@ -1,6 +1,5 @@
 // Tests of the stratified sampler: quadrature rules and spacings; cases A07, B09, B10 and B12 of tests/numerics have
 // the rules' orders, its strata and limits.
-#include <gtest/gtest.h>
 
 #include "tests/conformance/rows.h"
 #include "tests/numerics/ray_bench.h"

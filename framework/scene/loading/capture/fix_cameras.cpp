@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <map>
 #include <memory>
 #include <numeric>
@@ -18,13 +17,10 @@
 #include "core/joined_sets.h"
 #include "core/text.h"
 #include "formats/image_io.h"
-#include "scene/loading/capture/prepare.h"
 #include "scene/loading/frame_files.h"
 #include "scene/survey/geometry_survey.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 namespace {
 

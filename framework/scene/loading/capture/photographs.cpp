@@ -9,13 +9,11 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <map>
 #include <new>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <span>
 
 #include "compute/parallel.h"
 #include "core/files.h"
@@ -26,8 +24,6 @@
 #include "scene/survey/bundle.h"
 
 namespace semfield {
-
-namespace fs = std::filesystem;
 
 std::string program_file(const Programs& programs, const std::string& name) {
   std::string file = programs.find(name);

@@ -5,28 +5,19 @@
 #include <algorithm>
 #include <cerrno>
 #include <cmath>
-#include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
-#include <optional>
 #include <set>
-#include <string>
 #include <unordered_set>
-#include <vector>
 
 #include "compute/parallel.h"
 #include "core/checksum.h"
 #include "core/error.h"
-#include "core/files.h"
 #include "core/text.h"
 #include "formats/image_io.h"
-#include "scene/loading/capture/photographs.h"
-#include "scene/loading/colmap_model.h"
 #include "scene/survey/bundle.h"
 
 namespace semfield {
 
-namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 PrepareState::PrepareState(std::string file, std::string identity)

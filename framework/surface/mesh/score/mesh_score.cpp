@@ -1,9 +1,7 @@
 #include "surface/mesh/score/mesh_score.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numeric>
 #include <unordered_set>
 #include <utility>
 

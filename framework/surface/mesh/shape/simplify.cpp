@@ -13,8 +13,6 @@
 #include <unordered_set>
 #include <vector>
 
-#include "core/check.h"
-
 namespace semfield {
 
 namespace {

@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "compute/parallel.h"
-#include "core/check.h"
 #include "scene/scene.h"
 
 namespace semfield {

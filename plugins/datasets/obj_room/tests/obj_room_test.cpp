@@ -18,7 +18,6 @@ namespace semfield {
 namespace {
 
 using namespace testing_obj;
-namespace fs = std::filesystem;
 
 /// A quick room, with further or other settings.
 NamedDataset small(const std::string& root, testkit::Settings settings = {}) {
@@ -340,8 +339,7 @@ TEST(Capture, RefusesWhatTheLayoutCannotHold) {
 
 // Cast frames are kept and found again, and never in place of others.
 
-class CastCacheTest : public testing::Test {
- protected:
+struct CastCacheTest : testing::Test {
   void SetUp() override {
     folder_ = fs::path(testing::TempDir()) / ("cast_cache_" + std::to_string(::getpid()));
     fs::remove_all(folder_);
