@@ -6,8 +6,6 @@
 #include <algorithm>
 #include <cstdio>
 #include <ctime>
-#include <functional>
-#include <memory>
 #include <string_view>
 
 #include "app/app_context.h"

@@ -1,4 +1,3 @@
-#include "compute/gemm.h"
 
 #include <algorithm>
 

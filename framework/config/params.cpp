@@ -1,5 +1,4 @@
 // Reads a map of the tree into a parameter struct, strictly, collecting every error.
-#include "config/params.h"
 
 #include <charconv>
 #include <optional>

@@ -1,4 +1,3 @@
-#include "execution/pipeline.h"
 
 #include <fmt/format.h>
 
@@ -7,7 +6,6 @@
 #include <cmath>
 
 #include "compute/isa.h"
-#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"

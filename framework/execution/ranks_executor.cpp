@@ -1,4 +1,3 @@
-#include "execution/ranks_executor.h"
 
 #include <algorithm>
 #include <cstdlib>

@@ -4,9 +4,7 @@
 
 #include "compute/gemm.h"
 #include "compute/parallel.h"
-#include "core/rng.h"
 #include "testkit/benches.h"
-#include "testkit/laws.h"
 
 namespace semfield::testkit {
 

@@ -1,4 +1,3 @@
-#include "train/assembly.h"
 
 #include <fmt/format.h>
 

@@ -1,4 +1,3 @@
-#include "train/run_scores.h"
 
 #include <fmt/format.h>
 

@@ -1,4 +1,3 @@
-#include "train/session.h"
 
 #include <fmt/format.h>
 #include <sched.h>
@@ -10,7 +9,6 @@
 
 #include "compute/isa.h"
 #include "compute/parallel.h"
-#include "config/settings/choices.h"
 #include "core/error.h"
 #include "core/process.h"
 #include "core/text.h"

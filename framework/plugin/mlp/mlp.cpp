@@ -1,5 +1,4 @@
 // Builds the graph of a network: which layers are needed, their tensors, and products of linear layers.
-#include "plugin/mlp/mlp.h"
 
 #include <algorithm>
 #include <cmath>

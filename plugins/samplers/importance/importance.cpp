@@ -4,7 +4,6 @@
 #include "plugin/kernels.h"
 #include "plugin/module.h"
 #include "plugin/registry.h"
-#include "plugin/sampler.h"
 #include "samplers/importance/importance_kernels.h"
 
 namespace semfield {

@@ -1,5 +1,4 @@
 // CPU kernels of the importance sampler: a ray after the other, CDF and new points in one walk, then a merge.
-#include <algorithm>
 #include <cmath>
 
 #include "compute/isa.h"
