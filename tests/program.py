@@ -39,6 +39,23 @@ train: {steps: 200, rays: 192, adam: {learning_rate: 0.02}}
 ROOM = "{type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1}"
 
 
+def on_terminal(words, folder, env=None):
+    """Exit code of a program on a terminal of 80 columns in the folder, and all that it wrote."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    process = subprocess.Popen([str(word) for word in words], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs,
+                               start_new_session=True, env={**os.environ, **(env or {})})
+    os.close(theirs)
+    written = b""
+    try:
+        while part := os.read(ours, 4096):
+            written += part
+    except OSError:
+        pass  # its end
+    os.close(ours)
+    return process.wait(), written.decode(errors="replace")
+
+
 def png_file(chunks):
     """Of (name, bytes) of its chunks."""
     return b"\x89PNG\r\n\x1a\n" + b"".join(
@@ -219,21 +236,8 @@ class ProgramCase(unittest.TestCase):
         return self.start("-c", command, env=env, program="/bin/sh").wait()
 
     def on_terminal(self, words, env=None):
-        """Exit code of another program on a terminal of 80 columns in the test's folder, and all that it wrote."""
-        ours, theirs = pty.openpty()
-        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        process = subprocess.Popen(words, cwd=self.dir, stdin=theirs, stdout=theirs, stderr=theirs,
-                                   start_new_session=True, env={**os.environ, **(env or {})})
-        self.addCleanup(process.kill)
-        os.close(theirs)
-        written = b""
-        try:
-            while part := os.read(ours, 4096):
-                written += part
-        except OSError:
-            pass  # its end
-        os.close(ours)
-        return process.wait(), written.decode(errors="replace")
+        """on_terminal() in the test's folder."""
+        return on_terminal(words, self.dir, env)
 
     def ok(self, words, folder=None, env=None):
         """The Result of words that end in 0."""

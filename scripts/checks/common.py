@@ -6,6 +6,7 @@ import inspect
 import json
 import pathlib
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -89,6 +90,18 @@ def work_folder(keep=None):
         folder = pathlib.Path(keep or temporary).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         yield folder
+
+
+@contextlib.contextmanager
+def served(*words, **more):
+    """The address of the page that a verb serves, until it is left."""
+    words = [*words, "--json", "-q"]
+    program = subprocess.Popen([str(word) for word in words], stdout=subprocess.PIPE, text=True, **more)
+    try:
+        yield json.loads(program.stdout.readline() or run(*words, **more))["url"]
+    finally:
+        program.send_signal(signal.SIGINT)
+        program.wait()
 
 
 def some_of(names):

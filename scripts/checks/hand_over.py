@@ -1,10 +1,6 @@
 """What a run hands over to other programs, and its pages in browsers."""
-import contextlib
-import json
 import math
 import shutil
-import signal
-import subprocess
 import sys
 import time
 
@@ -39,18 +35,6 @@ MEASURE = """
     return last;"""
 
 
-@contextlib.contextmanager
-def served(*words):
-    """The address of the page that a verb serves, until it is left."""
-    words = [*words, "--json", "-q"]
-    program = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    try:
-        yield json.loads(program.stdout.readline() or common.run(*words))["url"]
-    finally:
-        program.send_signal(signal.SIGINT)
-        program.wait()
-
-
 def view(run, *, build=common.BUILD):
     """Measures how soon `semfield view` shows a run of the shipped room, and the long edge of the dining table as a
 person does, by points read in headless Chromium: the last ones of the table's top on the line from end to end.
@@ -60,7 +44,7 @@ view_ready_s is from start to the first picture, measured_error a share of the e
         raise common.Failed("no chromium and chromium-driver here: apt-get install chromium chromium-driver")
     with browser.Driver() as driver:
         page, begin = driver.browser(), time.monotonic()
-        with served(build / "bin" / "semfield", "view", run) as url:
+        with common.served(build / "bin" / "semfield", "view", run) as url:
             page.open(url)
             page.wait("document.body.dataset.state === 'ready'", "no picture", 60)
             ready = time.monotonic() - begin
@@ -119,7 +103,7 @@ is wider than the screen; prints the report to A4, unfolded, and counts what is 
         if (run / "clicks.jsonl").exists():  # with which a copy of their run goes on
             own = [shutil.copytree(run, folder / "run")]
         for words, shown in (["serve", *own], "document.querySelector('#strip img[src]')"), (["view", run], ready):
-            with served(program, *words) as url:
+            with common.served(program, *words) as url:
                 page.open(url)
                 page.wait(shown, "nothing is shown", 60)
                 wide += look(f"{words[0]} on a phone")
