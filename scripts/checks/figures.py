@@ -157,7 +157,7 @@ def is_old(commit):
 
 
 def evidence():
-    """Rows of evidence: {place: commits}."""
+    """(place, commits that it names) of each row of evidence."""
     for page in [common.ROOT / "README.md", *sorted((common.ROOT / "docs/evidence").iterdir())]:
         text = page.read_text(encoding="utf-8")
         if page.suffix == ".json":
@@ -176,7 +176,7 @@ configs differ from those of a commit that it names; the last line counts them, 
     found["pictures_stale"] = counted("stale", "scripts/pictures", "--stale")
     rows = [(place, commits) for place, commits in evidence() if commits]
     aged = {commit: is_old(commit) for commit in {one for _, commits in rows for one in commits}}
-    old_rows = [place for place, commits in rows if all(aged[commit] for commit in commits)]
+    old_rows = [place for place, commits in rows if any(aged[commit] for commit in commits)]
     for place in sorted(set(old_rows)):
         common.say(f"{place}: {old_rows.count(place)} old rows")
     found["evidence_rows_old"] = len(old_rows)
