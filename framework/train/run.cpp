@@ -26,7 +26,6 @@ namespace semfield {
 
 namespace {
 
-
 constexpr double kProgressEvery_s = 0.2;
 // A process that is to end gets at least this before it is killed; drivers look at the signal after each step.
 constexpr double kStopDeadline_s = 10;
