@@ -4,7 +4,7 @@
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
-set(semfield_library_dir ${CMAKE_INSTALL_LIBDIR}/semfield)  # ours alone: their names and interfaces may change with every version before 1.0
+set(semfield_library_dir ${CMAKE_INSTALL_LIBDIR}/semfield)  # ours alone: their names and interfaces may change with every major version
 set(semfield_package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/semfield)
 
 # Exported names are semfield::sdk, semfield::testkit, semfield::plugins and semfield::cuda.
@@ -43,7 +43,7 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/ DESTINATION ${CMAKE_INSTALL_I
 
 configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/semfieldConfig.cmake.in ${PROJECT_BINARY_DIR}/semfieldConfig.cmake
                               INSTALL_DESTINATION ${semfield_package_dir} NO_SET_AND_CHECK_MACRO)
-# Interfaces of a plugin may change with every minor version before 1.0; the loader's API number says so again at run time.
+# Sources of plugins compile within a major version; the loader's API number refuses modules of another at run time.
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/semfieldConfigVersion.cmake COMPATIBILITY SameMajorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/semfieldConfig.cmake ${PROJECT_BINARY_DIR}/semfieldConfigVersion.cmake
               ${PROJECT_SOURCE_DIR}/cmake/KernelObjects.cmake ${PROJECT_SOURCE_DIR}/cmake/SemfieldPlugin.cmake

@@ -76,7 +76,7 @@ Run::Run(RunConfig config, Registry& registry, const TrainRequest& request, RunL
   const ResumePoint point = open(std::move(config), request, opening != nullptr ? *opening : listener_);
   if (ended_) {
     listener_.note(
-        fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: `{}`",
+        fmt::format("the run has ended at step {}; nothing of it was changed; to train on: `{}`",
                     ended_->step, train_on_words(run_dir(), ended_->train_s)));
     return;
   }
@@ -111,7 +111,7 @@ Run::Run(RunConfig config, Registry& registry, const TrainRequest& request, RunL
   // Its last evaluation may have been cut off, and settings of the page may be others now.
   if (training_->at_its_end())
     listener_.note(
-        fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: `{}`",
+        fmt::format("the run has ended at step {}: it is scored again, not trained; to train on: `{}`",
                     training_->step(), train_on_words(run_dir(), training_->train_s())));
 }
 

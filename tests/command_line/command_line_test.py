@@ -319,7 +319,7 @@ class Completion(ProgramCase):
                     self.assertEqual(self.offered(shell, "semfield " + line), set(words.split()), line)
 
     def test_the_manual_page_has_no_warnings(self):
-        made = subprocess.run([SOURCE / "packaging/manual_page", PROGRAM, "1.0.0"], capture_output=True, text=True,
+        made = subprocess.run([SOURCE / "packaging/manual_page", PROGRAM, "2.0.0"], capture_output=True, text=True,
                               check=True)
         page = self.write("semfield.1", made.stdout)
         self.has(made.stdout, r"\-\-frames N")

@@ -334,7 +334,7 @@ TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
   CountedSteps nothing(true);
   const TrainOutcome again = resume("run", {}, nothing);
   EXPECT_EQ(contents(dir_ / "run"), before);
-  EXPECT_HAS(nothing.notes, "the run has come to its end, 20 steps, and nothing of it was changed; to train on: ",
+  EXPECT_HAS(nothing.notes, "the run has ended at step 20; nothing of it was changed; to train on: ",
              "`semfield train --resume " + (dir_ / "run") + " --time 5s`");
   EXPECT_EQ(again.trained_s, 0);
   EXPECT_EQ(again.step, 20);

@@ -44,14 +44,13 @@ constexpr std::string_view kOtherKeys =
     "heads losses passes plugins name base_dir scene.labels.from scene.labels.degrade train.schedule.legs "
     "objects.method";
 
-// Keys of versions before 1.0, and what to do instead.
+// Keys of older versions, and what to do instead.
 struct GoneKey {
   const char *section, *key, *remedy;
-  std::string_view harmless = {};  // values that say what holds anyway, which versions before 2.0 take
 };
 constexpr GoneKey kGoneKeys[] = {
     {"train", "time_limit_s", "write train: {steps: 0, time_s: SECONDS} to have steps and schedule settled for a time"},
-    {"runtime", "gemm", "remove the key; runtime.precision: bf16 is the faster arithmetic", "auto builtin"},
+    {"runtime", "gemm", "remove the key; runtime.precision: bf16 is the faster arithmetic"},
 };
 
 // Keys that the map at `path` may have and that are no parameters of it; "": the top.
@@ -74,10 +73,8 @@ void refuse_gone_keys(ConfigNode& tree, Diagnostics& diagnostics) {
     ConfigNode* section = tree.find(gone.section);
     const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
     if (value == nullptr) continue;
-    const std::vector<std::string_view> harmless = words_of(gone.harmless);
-    if (std::find(harmless.begin(), harmless.end(), value->text()) == harmless.end())
-      diagnostics.error("config.key.gone", value->key_location().text(),
-                        fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
+    diagnostics.error("config.key.gone", value->key_location().text(),
+                      fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
     *section = section->without(gone.key);
   }
 }

@@ -1046,10 +1046,10 @@ struct GeometrySurvey::Impl {
       return px == 0 ? std::string() : plain_number(std::abs(px)) + " pixels " + (px > 0 ? more : less);
     };
     const std::string right = side(shift->right_px, "right", "left"), down = side(shift->down_px, "below", "above");
-    const std::string text = "depth does not lie on the photographs: their edges are " + right +
+    const std::string text = "depth images are shifted against the photographs, whose edges are " + right +
                              (right.empty() || down.empty() ? "" : " and ") + down + " of those of depth";
     diagnostics.warning("scene.depth.beside", as_opened.name, text, kFixRemedy);
-    verdict.text += "; depth does not lie on the photographs";
+    verdict.text += "; depth images are shifted";
   }
 };
 
