@@ -126,7 +126,7 @@ std::string values_text(const SplitScore& score, const char* how, bool metric, s
   std::string text;
   for (const auto& [name, value] : score.values()) {
     if (value)
-      text += fmt::format("  {:<20} {}{}\n", name, with_unit(name, *value, metric), how);
+      text += fmt::format("  {:<21} {}{}\n", name, with_unit(name, *value, metric), how);
     else
       missing.push_back(name);
   }
@@ -170,20 +170,20 @@ int run(const EvalOptions& options, AppContext& context) {
                                  options.split, run.step, run.train_s);
   text += values_text(score, "", metric, missing);
   if (refined) text += values_text(*refined, " with refined poses", metric, again);
-  if (!missing.empty()) text += fmt::format("  {:<20} {}\n", "no data for", join(missing));
+  if (!missing.empty()) text += fmt::format("  {:<21} {}\n", "no data for", join(missing));
   if (split == Split::train) {
     const ConfusionMatrix given = score_training_labels(s, frames);
     if (given.scored_px() > 0)
-      text += fmt::format("  {:<20} miou_present {:.4f}, total_accuracy {:.4f} over {} pixels\n", "labels given",
+      text += fmt::format("  {:<21} miou_present {:.4f}, total_accuracy {:.4f} over {} pixels\n", "labels given",
                           *given.miou_present(), *given.total_accuracy(), given.scored_px());
   }
   const std::vector<ClassScore> classes = score.confusion.per_class();
   const bool has_labels = score.confusion.scored_px() > 0;
-  if (has_labels) text += fmt::format("  {:<20} {:>8} {:>8} {:>10}\n", "class", "iou", "recall", "pixels");
+  if (has_labels) text += fmt::format("  {:<21} {:>8} {:>8} {:>10}\n", "class", "iou", "recall", "pixels");
   for (std::size_t c = 0; c < classes.size(); ++c) {
     const ClassScore& k = classes[c];
     if (k.truth_px == 0 && k.predicted_px == 0) continue;
-    text += fmt::format("  {:<20} {:>8} {:>8} {:>10}\n", s.scene.info.classes.valid(static_cast<int>(c)).name,
+    text += fmt::format("  {:<21} {:>8} {:>8} {:>10}\n", s.scene.info.classes.valid(static_cast<int>(c)).name,
                         figure_text(k.iou), figure_text(k.recall), k.truth_px);
   }
   if (found.contains("protocol")) text += protocol_text(found["protocol"]);
