@@ -20,6 +20,7 @@ with tempfile.TemporaryDirectory() as folder:
     for part in ("scripts", "cmake", "tests/scripts", "tests/page", "tests/handover"):  # with modules that steps import
         shutil.copytree(os.path.join(os.path.dirname(scripts), part), os.path.join(folder, part),
                         ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(os.path.join(os.path.dirname(scripts), "tests/program.py"), os.path.join(folder, "tests"))
 
     def run(name, *words):
         with open(os.path.join(copy, name), encoding="utf-8") as file:
