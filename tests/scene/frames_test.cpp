@@ -933,7 +933,7 @@ TEST(GeometrySurvey, DepthThatLiesBesideThePhotographsIsNamed) {
   EXPECT_EQ(ask(room).warning, "");
   room.spoiled = boxes(5);
   EXPECT_TRUE(loaded(room).depth_beside);
-  EXPECT_HAS(ask(room).warning, "their edges are 5 pixels right of those of depth");
+  EXPECT_HAS(ask(room).warning, "whose edges are 5 pixels right of those of depth");
 }
 
 }  // namespace
