@@ -149,6 +149,15 @@ def meshlab():
         near(found["red"], color(0), 0, "red")
 
 
+def blender():
+    for name, moved in (("mesh.ply", False), ("mesh.glb", False)):
+        found = other_programs.blender(folder / name)
+        check(found["faces"] == len(want["positions"]) - 2, f"faces of {name} in Blender")
+        for k in range(3):  # in 32 bits
+            near([p[k] for p in found["at"]], axis(k, moved), 0.5, f"axis {k} of {name} in Blender")
+            near([255 * c[k] for c in found["colors"]], color(k), 1, f"colour {k} of {name} in Blender")
+
+
 def open3d():
     found = other_programs.open3d(folder / "points.ply")
     near(found["label"], want["ids"], 0, "label in Open3D")

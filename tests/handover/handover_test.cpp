@@ -144,7 +144,8 @@ TEST_P(ReadBy, AProgramThatNobodyHereWrote) {
   EXPECT_EQ(code, 0);
 }
 INSTANTIATE_TEST_SUITE_P(Programs, ReadBy,
-                         ::testing::Values("cloudcompare", "meshlab", "open3d", "pcl", "las", "octomap", "gltf"),
+                         ::testing::Values("blender", "cloudcompare", "meshlab", "open3d", "pcl", "las", "octomap",
+                                           "gltf"),
                          [](const auto& of) { return std::string(of.param); });
 
 TEST_F(HandOverFiles, AGlbFarFromZeroIsMovedBackByItsRoot) {

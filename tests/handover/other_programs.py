@@ -31,7 +31,7 @@ def run(words, **more):
     environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "LC_ALL": "C"}
     done = subprocess.run([str(w) for w in words], capture_output=True, text=True, env=environment, check=False, timeout=300, **more)
     if done.returncode != 0:
-        raise RuntimeError(f"{words[0]} ended with {done.returncode}: {done.stdout[-800:]}{done.stderr[-800:]}")
+        raise RuntimeError(f"{words[0]} ended with {done.returncode}: {done.stderr[-800:] or done.stdout[-800:]}")
     return done.stdout
 
 
@@ -91,6 +91,32 @@ def pcl(path):
         head, _, body = out.read_text().partition("DATA ascii\n")
     names = next(line.split()[1:] for line in head.splitlines() if line.startswith("FIELDS"))
     return columns_of([line.split() for line in body.splitlines()], names)
+
+
+BLENDER = """
+import bpy, json, numpy, sys
+numpy.bool = bool  # which Blender 3.4 expects, and NumPy 1.24 next to it in Debian 12 has not
+for one in list(bpy.data.objects): bpy.data.objects.remove(one)
+path = sys.argv[-1]
+if path.endswith(".glb"): bpy.ops.import_scene.gltf(filepath=path)
+elif bpy.app.version >= (3, 6): bpy.ops.wm.ply_import(filepath=path)
+else: bpy.ops.import_mesh.ply(filepath=path)
+(one,) = [o for o in bpy.data.objects if o.type == "MESH"]
+at, (colors, *_) = [one.matrix_world @ v.co for v in one.data.vertices], one.data.color_attributes
+seen = [None] * len(at)
+for k, loop in enumerate(one.data.loops):
+    seen[loop.vertex_index] = list(colors.data[k if colors.domain == "CORNER" else loop.vertex_index].color_srgb)
+print("\\n" + json.dumps({"at": [list(p) for p in at], "colors": seen, "faces": len(one.data.polygons)}))
+"""
+
+
+def blender(path):
+    """The mesh that Blender imports: places, colours of 0 to 1, and how many faces."""
+    program = need("blender", "blender")
+    # Its Python is that of the first python3 on the path.
+    out = run(["env", "PATH=/usr/bin", program, "--background", "--factory-startup", "--python-exit-code", "1", "--python-expr",
+               BLENDER, "--", path])
+    return next(json.loads(line) for line in out.splitlines() if line.startswith('{"at"'))
 
 
 def node(script, path, module):
