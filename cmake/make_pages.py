@@ -54,7 +54,6 @@ def resolve(page, target):
 # Tables of pages that are made from the data in docs/evidence when the pages are built. A page asks for one by a comment:
 #
 #   <!-- table benchmark.json: scene seconds psnr -->                     a row per row of a list, these members as columns
-#   <!-- table objects.json: pq mcov -->                                  a row per group of runs: means over its runs
 #   <!-- table gpu_cells.csv scene=walk experiment=labels_paper|labels_today: miou_present psnr -->   a row per variant of sweeps, some rows of theirs
 #   <!-- sources -->                                                      where each file of data comes from
 #
@@ -91,16 +90,8 @@ def mean_of(values):
     return f"{mean} ± {half_width(values):.{digits}f} ({len(values)})"
 
 
-def data_rows(data):
-    """(name of the row, column, value) of a list of rows, or of groups of runs."""
-    groups = ((i, [row]) for i, row in enumerate(data)) if isinstance(data, list) else data["rows"].items()
-    for group, runs in groups:
-        for run in runs:
-            yield from ((group, key, value) for key, value in run.items() if not isinstance(value, (dict, list)))
-
-
 def rows_of(root, words):
-    """The same of files of data; words are names of files and filters KEY=VALUE|VALUE."""
+    """(name of the row, column, value) of files of data; words are names of files and filters KEY=VALUE|VALUE."""
     filters = dict(word.split("=") for word in words if "=" in word)
     for name in (word for word in words if "=" not in word):
         if name.endswith(".csv"):
@@ -110,7 +101,8 @@ def rows_of(root, words):
                         many = "|" in filters.get("experiment", "")
                         yield row["variant"], row["metric"] + (f", {row['experiment']}" if many else ""), float(row["value"])
             continue
-        yield from data_rows(read_json(root, name))
+        for number, row in enumerate(read_json(root, name)):
+            yield from ((number, key, value) for key, value in row.items() if not isinstance(value, (dict, list)))
 
 
 def table_of(rows, columns):
