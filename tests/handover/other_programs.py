@@ -101,22 +101,24 @@ path = sys.argv[-1]
 if path.endswith(".glb"): bpy.ops.import_scene.gltf(filepath=path)
 elif bpy.app.version >= (3, 6): bpy.ops.wm.ply_import(filepath=path)
 else: bpy.ops.import_mesh.ply(filepath=path)
-(one,) = [o for o in bpy.data.objects if o.type == "MESH"]
-at, (colors, *_) = [one.matrix_world @ v.co for v in one.data.vertices], one.data.color_attributes
-seen = [None] * len(at)
-for k, loop in enumerate(one.data.loops):
-    seen[loop.vertex_index] = list(colors.data[k if colors.domain == "CORNER" else loop.vertex_index].color_srgb)
-print("\\n" + json.dumps({"at": [list(p) for p in at], "colors": seen, "faces": len(one.data.polygons)}))
+corners, faces = [], 0
+for one in [o for o in bpy.data.objects if o.type == "MESH"]:
+    mesh, colors = one.data, one.data.color_attributes[0]
+    faces += len(mesh.polygons)
+    for k, loop in enumerate(mesh.loops):
+        color = colors.data[k if colors.domain == "CORNER" else loop.vertex_index].color_srgb
+        corners.append([*(one.matrix_world @ mesh.vertices[loop.vertex_index].co), *color])
+print("\\n" + json.dumps({"corners": corners, "faces": faces}))
 """
 
 
 def blender(path):
-    """The mesh that Blender imports: places, colours of 0 to 1, and how many faces."""
+    """What Blender imports: corners of its faces as x, y, z, r, g, b, a with colours of 0 to 1, and how many faces."""
     program = need("blender", "blender")
     # Its Python is that of the first python3 on the path.
     out = run(["env", "PATH=/usr/bin", program, "--background", "--factory-startup", "--python-exit-code", "1", "--python-expr",
                BLENDER, "--", path])
-    return next(json.loads(line) for line in out.splitlines() if line.startswith('{"at"'))
+    return next(json.loads(line) for line in out.splitlines() if line.startswith('{"corners"'))
 
 
 def node(script, path, module):
