@@ -5,11 +5,14 @@
 #include <cstdlib>
 #include <exception>
 #include <filesystem>
+#include <string>
 
+#include "app/app_context.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
+#include "core/workspace.h"
 #include "plugin/loader.h"
 
 namespace {

@@ -1,14 +1,18 @@
+#include "app/serve/page_exports.h"
 
 #include <fmt/format.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 
 #include <algorithm>
+#include <chrono>
 #include <csignal>
+#include <map>
 
 #include "app/child_process.h"
 #include "app/serve/page_requests.h"
 #include "app/serve/page_server.h"
+#include "core/error.h"
 #include "core/files.h"
 #include "formats/zip_archive.h"
 

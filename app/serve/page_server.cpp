@@ -8,12 +8,15 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
+#include <cmath>
 #include <memory>
 #include <thread>
 
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
+#include "core/error.h"
 #include "core/files.h"
 #include "core/text.h"
 

@@ -1,9 +1,13 @@
 // Elementwise loops of networks and rendering, and the matrix product in the precision of its operands, for one
 // instruction set. Exponentials: exact reduction to |r| <= ln2/2, a degree-7 series, scaling by exponent bits.
+#include <algorithm>
 #include <bit>
+#include <cmath>
+#include <cstring>
 #include <limits>
 
 #include "compute/gemm_tiles.h"
+#include "compute/isa.h"
 #include "compute/math_functions.h"
 
 namespace semfield::SEMFIELD_ISA {

@@ -1,3 +1,4 @@
+#include "compute/gemm.h"
 
 #include <algorithm>
 

@@ -1,4 +1,5 @@
 // Reads a map of the tree into a parameter struct, strictly, collecting every error.
+#include "config/params.h"
 
 #include <charconv>
 #include <optional>

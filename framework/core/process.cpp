@@ -11,8 +11,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <filesystem>
+#include <optional>
 #include <sstream>
 
+#include "core/error.h"
 #include "core/files.h"
 
 namespace semfield {

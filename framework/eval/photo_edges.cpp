@@ -11,6 +11,7 @@
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "labels/mask_outlines.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -1,3 +1,4 @@
+#include "execution/pipeline.h"
 
 #include <fmt/format.h>
 
@@ -6,6 +7,7 @@
 #include <cmath>
 
 #include "compute/isa.h"
+#include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"

@@ -1,3 +1,4 @@
+#include "execution/ranks_executor.h"
 
 #include <algorithm>
 #include <cstdlib>

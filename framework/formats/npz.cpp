@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 
+#include "core/error.h"
 #include "core/files.h"
 #include "core/half.h"
 #include "core/text.h"

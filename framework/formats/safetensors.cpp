@@ -13,6 +13,7 @@
 
 #include "core/check.h"
 #include "core/checksum.h"
+#include "core/error.h"
 #include "core/files.h"
 #include "formats/text_rows.h"
 

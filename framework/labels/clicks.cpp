@@ -3,14 +3,17 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "core/checksum.h"
+#include "core/text.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"
 #include "labels/strict_json.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

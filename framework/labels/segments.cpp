@@ -1,14 +1,17 @@
 #include "labels/segments.h"
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <span>
 
 #include "compute/parallel.h"
+#include "core/files.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "formats/text_rows.h"
 #include "labels/frame_match.h"
+#include "labels/label_files.h"
 #include "labels/mask_json.h"
 
 namespace semfield {

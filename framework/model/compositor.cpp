@@ -1,11 +1,14 @@
 // Emission and absorption along rays: scalars of a ray in double, channels of a sample as vectors of Real.
+#include "model/compositor.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string>
 
 #include "compute/math_functions.h"
 #include "core/check.h"
+#include "core/error.h"
 #include "model/stages.h"
 
 namespace semfield {

@@ -1,8 +1,10 @@
 // The stages of a pass on the CPU.
+#include "model/stages.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 #include <type_traits>

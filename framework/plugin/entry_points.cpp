@@ -1,6 +1,8 @@
 // Checked entry points of every encoder, sampler and field.
 #include <algorithm>
+#include <cstdint>
 
+#include "core/error.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/quadrature.h"

@@ -1,5 +1,6 @@
 // Lenses and their inverses (OpenCV's radial-tangential polynomial, the fisheye's, the panorama), files of cameras, and
 // paths.
+#include "scene/camera.h"
 
 #include <fmt/format.h>
 
@@ -9,6 +10,7 @@
 #include <charconv>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <optional>
 #include <sstream>
 #include <system_error>
 

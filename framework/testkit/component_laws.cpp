@@ -4,7 +4,9 @@
 
 #include "compute/gemm.h"
 #include "compute/parallel.h"
+#include "core/rng.h"
 #include "testkit/benches.h"
+#include "testkit/laws.h"
 
 namespace semfield::testkit {
 

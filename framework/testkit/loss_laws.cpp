@@ -1,5 +1,10 @@
 // The laws of groupings and losses.
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
 
+#include "core/rng.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "testkit/loss_rays.h"

@@ -1,6 +1,10 @@
 // The laws of samplers.
+#include <algorithm>
 
+#include "core/rng.h"
 #include "testkit/benches.h"
+#include "testkit/compare.h"
+#include "testkit/laws.h"
 
 namespace semfield::testkit {
 

@@ -1,3 +1,4 @@
+#include "train/assembly.h"
 
 #include <fmt/format.h>
 

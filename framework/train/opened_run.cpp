@@ -1,3 +1,4 @@
+#include "train/opened_run.h"
 
 #include <fmt/format.h>
 
@@ -5,15 +6,18 @@
 #include <set>
 
 #include "config/config_words.h"
+#include "config/settings/choices.h"
 #include "core/files.h"
 #include "core/process.h"
 #include "core/text.h"
 #include "eval/final_eval.h"
+#include "labels/clicks.h"
 #include "model/camera_corrections.h"
 #include "plugin/loader.h"
 #include "scene/camera_rig.h"
 #include "train/assembly.h"
 #include "train/run.h"
+#include "train/trainer.h"
 
 namespace semfield {
 

@@ -1,3 +1,4 @@
+#include "train/run_scores.h"
 
 #include <fmt/format.h>
 

@@ -1,3 +1,4 @@
+#include "train/session.h"
 
 #include <fmt/format.h>
 #include <sched.h>
@@ -9,6 +10,7 @@
 
 #include "compute/isa.h"
 #include "compute/parallel.h"
+#include "config/settings/choices.h"
 #include "core/error.h"
 #include "core/process.h"
 #include "core/text.h"

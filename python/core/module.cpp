@@ -1,6 +1,7 @@
 // semfield._core: what the package in python/semfield is made of. Users see the package alone.
 #include <pybind11/stl.h>
 
+#include "config/settings/run_config.h"
 #include "core/check.h"
 #include "model/compositor.h"
 #include "python/core/errors.h"

@@ -1,14 +1,19 @@
 
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
 #include <algorithm>
 #include <filesystem>
+#include <memory>
 #include <set>
 #include <string>
 #include <string_view>
 #include <variant>
+#include <vector>
 
 #include "config/params.h"
+#include "core/error.h"
 #include "plugin/head.h"
 #include "plugin/loader.h"
 #include "plugin/loss.h"

@@ -6,16 +6,21 @@
 
 #include <atomic>
 #include <csignal>
+#include <memory>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <type_traits>
 
+#include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "eval/report/report.h"
 #include "python/core/errors.h"
 #include "python/core/values.h"
+#include "scene/scene.h"
 #include "train/run.h"
 #include "train/run_scores.h"
 

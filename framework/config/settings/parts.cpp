@@ -1,3 +1,4 @@
+#include "config/settings/parts.h"
 
 #include <fmt/format.h>
 
@@ -9,6 +10,7 @@
 #include "config/settings/run_config.h"
 #include "core/files.h"
 #include "labels/clicks.h"
+#include "model/optim/adam.h"
 #include "model/pass.h"
 #include "plugin/loader.h"
 

@@ -1,4 +1,5 @@
 // Builds the graph of a network: which layers are needed, their tensors, and products of linear layers.
+#include "plugin/mlp/mlp.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,6 +1,7 @@
 // OBJ + MTL reading on tinyobjloader's callbacks, with every index checked here.
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <tuple>
 
 #include "datasets/obj_room/obj_room.h"

@@ -8,6 +8,7 @@
 
 #include "compute/parallel.h"
 #include "core/checksum.h"
+#include "core/error.h"
 #include "core/files.h"
 #include "core/rng.h"
 #include "datasets/obj_room/obj_room.h"

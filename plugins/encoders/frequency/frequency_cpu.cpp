@@ -1,5 +1,6 @@
 // CPU kernels of the frequency encoder: blocks of 192 coordinates, one band at a time, every inner loop vectorisable.
 #include <algorithm>
+#include <cmath>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"

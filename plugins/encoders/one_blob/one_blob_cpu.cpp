@@ -1,5 +1,6 @@
 // CPU kernels of the one-blob encoder: one coordinate at a time, all its bins in one loop that vectorises.
 #include <algorithm>
+#include <cmath>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"

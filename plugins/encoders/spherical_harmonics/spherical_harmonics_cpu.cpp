@@ -1,5 +1,6 @@
 // CPU kernels of the spherical harmonics encoder: one direction at a time (directions are encoded once per ray).
 #include <algorithm>
+#include <cmath>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"

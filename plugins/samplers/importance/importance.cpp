@@ -4,6 +4,7 @@
 #include "plugin/kernels.h"
 #include "plugin/module.h"
 #include "plugin/registry.h"
+#include "plugin/sampler.h"
 #include "samplers/importance/importance_kernels.h"
 
 namespace semfield {

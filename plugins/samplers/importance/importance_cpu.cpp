@@ -1,4 +1,5 @@
 // CPU kernels of the importance sampler: a ray after the other, CDF and new points in one walk, then a merge.
+#include <algorithm>
 #include <cmath>
 
 #include "compute/isa.h"

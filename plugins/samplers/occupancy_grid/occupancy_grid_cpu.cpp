@@ -1,5 +1,7 @@
 // CPU kernels of the occupancy-grid sampler: whole empty blocks, then whole empty cells, are passed over in one jump.
+#include <algorithm>
 #include <bit>
+#include <cmath>
 #include <cstring>
 
 #include "compute/isa.h"

@@ -3,6 +3,7 @@
 #include "plugin/kernels.h"
 #include "plugin/module.h"
 #include "plugin/registry.h"
+#include "plugin/sampler.h"
 #include "samplers/stratified/stratified_kernels.h"
 
 namespace semfield {
