@@ -72,6 +72,14 @@ def write_pictures(pattern, raw, width, height, pixels):
         "-i", "-", "-start_number", "0", pattern, input=raw, text=None, encoding=None)
 
 
+def has_changed(commit, folders):
+    """Whether more than includes and empty lines of the folders, which move no bit, differ from a commit's; true also of
+    an unknown commit."""
+    words = ["git", "-C", ROOT, "diff", "--numstat", "-I", "^#include ", "--ignore-blank-lines", commit, "--", *folders]
+    done = subprocess.run(words, capture_output=True, text=True)
+    return done.returncode != 0 or done.stdout != ""
+
+
 def source(command, n, environment=None, device="CPU"):
     """Where a figure comes from, as docs/evidence wants it; `environment` is a run's environment.json."""
     git = ["git", "-C", ROOT, "rev-parse", "--short", "HEAD"]

@@ -148,14 +148,6 @@ def counted(word, *words):
     return int(re.search(rf"\b{word}=(\d+)", done.stdout)[1])
 
 
-def is_old(commit):
-    """Whether what figures depend on has changed since the commit."""
-    try:
-        return bool(common.run("git", "-C", common.ROOT, "diff", "--name-only", commit, "HEAD", "--", *PROGRAM).strip())
-    except common.Failed:
-        return True
-
-
 def evidence():
     """(place, commits that it names) of each row of evidence."""
     for page in [common.ROOT / "README.md", *sorted((common.ROOT / "docs/evidence").iterdir())]:
@@ -170,12 +162,12 @@ def evidence():
 
 def release(run, old: "FOLDER of what 1.0.0 made, as first_minute --runs takes it", *, build=common.BUILD):
     """Asks first_minute, pages, scripts/pictures and the documents. A row of evidence is old if framework, plugins or
-configs differ from those of a commit that it names; the last line counts them, for files as for tables."""
+configs differ by more than includes from those of a commit that it names; the last line counts them, for files as for tables."""
     found = first_minute(only=("terminal", "old"), program=build, runs=old)
     found |= hand_over.pages(run, build=build)
     found["pictures_stale"] = counted("stale", "scripts/pictures", "--stale")
     rows = [(place, commits) for place, commits in evidence() if commits]
-    aged = {commit: is_old(commit) for commit in {one for _, commits in rows for one in commits}}
+    aged = {commit: common.has_changed(commit, PROGRAM) for commit in {one for _, commits in rows for one in commits}}
     old_rows = [place for place, commits in rows if any(aged[commit] for commit in commits)]
     for place in sorted(set(old_rows)):
         common.say(f"{place}: {old_rows.count(place)} old rows")
