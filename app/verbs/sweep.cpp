@@ -12,6 +12,7 @@
 #include <sstream>
 
 #include "app/child_process.h"
+#include "app/scene/inspect_report.h"
 #include "app/signals.h"
 #include "app/sweep/sweep_work.h"
 #include "app/terminal.h"
