@@ -67,7 +67,7 @@ NUMBER = re.compile(r"^[*<>±+\-]*\d[\d.,]*")
 DATE = r"\b20\d\d-\d\d(?:-\d\d)?\b|\b\d{1,2} (?:January|February|March|April|May|June|July|August|September|October|November|December) 20\d\d\b"
 COMMIT = r"\b(?=[0-9a-f]*[a-f])(?=[0-9a-f]*\d)[0-9a-f]{7,10}\b|\bversion \d+\.\d+\.\d+"
 WHEN = re.compile(f"{DATE}|{COMMIT}")
-COMMAND = re.compile(r"(?:^|`|\$ )(?:\./)?(?:semfield|scripts/|python3|studies/|train |hash_grid_throughput|frequency_cost|kernel_bench|mpirun)", re.M)
+COMMAND = re.compile(r"(?:^|`|\$ )(?:\./)?(?:semfield|scripts/|python3|studies/|train |mpirun)", re.M)
 SOURCE_LINK = re.compile(r"\]\((?:[^)\s]*evidence/[^)\s]*|[^)\s]*decisions\.md#[^)\s]*|[^)\s]*\.(?:json|csv|bib)|[^)\s]*README\.md#measured)\)")
 
 
