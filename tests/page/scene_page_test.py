@@ -20,7 +20,7 @@ from handover import ply
 from program import PROGRAM, SOURCE
 
 CONFIG = str(SOURCE / "configs/quickstart.yaml")
-SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}
+SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 800, "train.rays": 512, "runtime.threads": 2, "report.eval_share": 0}
 NO_CLASS = 65535
 
 
@@ -132,21 +132,21 @@ def look(driver, path, page):
           if (Math.abs(p[0]) > 0.9 || Math.abs(p[1]) > 0.9) continue;
           const x = (p[0] + 1) / 2 * canvas.clientWidth, y = (1 - p[1]) / 2 * canvas.clientHeight;
           const read = semfield.read(x, y);
-          if (read !== null) found.push([i, read, moved(clip, read.place), p]);
+          if (read !== null && document.elementFromPoint(x, y) === canvas) found.push([i, read, moved(clip, read.place), p, [x, y]]);
         }
         return found;""", places)
-    near = [(i, read) for i, read, _, _ in reads if math.dist(read["place"], places[i]) < 0.05]
+    near = [(read, at) for i, read, _, _, at in reads if math.dist(read["place"], places[i]) < 0.05]
     assert len(near) >= 5, f"{len(near)} of {len(reads)} vertices are read where they are"
-    for _, _, got, want in reads:  # others are hidden by what lies before them, on the same ray
+    for _, _, got, want, _ in reads:  # others are hidden by what lies before them, on the same ray
         assert math.hypot(got[0] - want[0], got[1] - want[1]) < 0.01, (got, want)
     of_class = {label for label in labels if label != NO_CLASS}
-    assert all(read["label"] in of_class or read["label"] == len(facts["classes"]) for _, read in near), near
+    assert all(read["label"] in of_class or read["label"] == len(facts["classes"]) for read, _ in near), near
 
     # Two clicks measure; the third begins anew.
-    middle = [view.run("return canvas.clientWidth") / 2, view.run("return canvas.clientHeight") / 2]
-    view.mouse(middle)
+    (read, start), *_, (_, end) = near
+    view.mouse(start)
     view.wait("semfield.points.length === 1", "a click reads a point")
-    view.mouse((middle[0] + 60, middle[1] + 20))
+    view.mouse(end)
     view.wait("document.getElementById('readout').textContent.includes('distance')", "two measure")
     first, second = (point["place"] for point in view.run("return semfield.points"))
     told = float(re.search(r"distance ([0-9.]+) m", view.text("#readout")).group(1))
@@ -160,13 +160,12 @@ def look(driver, path, page):
         for (let i = 0; i < data.length; i += 4) count += data[i] === 255 && data[i + 1] === 213 && data[i + 2] === 74;
         return count; });"""
     assert view.run(yellow) > 100, "a saved picture keeps it"
-    view.mouse((middle[0] - 60, middle[1]))
+    view.mouse(start)
     view.wait("semfield.points.length <= 1", "a third click begins anew")
 
     # What is hidden is neither drawn nor read.
-    read = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
     view.run("document.querySelectorAll('#class-list input')[arguments[0]].click()", min(read["label"], len(facts["classes"])))
-    after = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
+    after = view.run("return semfield.read(arguments[0], arguments[1])", *start)
     assert after is None or after["label"] != read["label"], (read, after)
 
     view.run("document.querySelector('#class-list input:not(:checked)').click()")
@@ -182,7 +181,7 @@ def look(driver, path, page):
     assert 0 < light <= whole == 3 * facts["triangles"], (light, whole)
 
     before = view.run("return semfield.camera.matrices().eye")
-    view.mouse(middle, (middle[0] + 80, middle[1] + 10))
+    view.mouse(start, (start[0] + 80, start[1] + 10))
     assert view.run("return semfield.camera.matrices().eye") != before, "a drag turns"
     view.click("#inside")
     view.wait("document.getElementById('inside').getAttribute('aria-pressed') === 'true'")
@@ -204,7 +203,7 @@ def look_at_report(driver, path):
     view.open("file://" + str(path))
     view.wait("document.querySelector('#scene iframe').contentDocument.body.dataset.state === 'ready'", "the report shows the scene", 60)
     inside = "document.querySelector('iframe').contentWindow"
-    assert view.run(f"return {inside}.document.querySelector('#about').textContent").count("200 steps of training") == 1
+    assert view.run(f"return {inside}.document.querySelector('#about').textContent").count("800 steps of training") == 1
     assert view.run("return document.title") != "a stranger"
     assert all("Content Security Policy" in text for text in view.complaints()), "of the stranger alone"
     view.run(f"{inside}.document.getElementById('outside').click()")
