@@ -20,7 +20,7 @@ from handover import ply
 from program import PROGRAM, SOURCE
 
 CONFIG = str(SOURCE / "configs/quickstart.yaml")
-SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 800, "train.rays": 512, "runtime.threads": 2, "report.eval_share": 0}
+SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 500, "train.rays": 512, "runtime.threads": 2, "report.eval_share": 0}
 NO_CLASS = 65535
 
 
@@ -203,7 +203,7 @@ def look_at_report(driver, path):
     view.open("file://" + str(path))
     view.wait("document.querySelector('#scene iframe').contentDocument.body.dataset.state === 'ready'", "the report shows the scene", 60)
     inside = "document.querySelector('iframe').contentWindow"
-    assert view.run(f"return {inside}.document.querySelector('#about').textContent").count("800 steps of training") == 1
+    assert view.run(f"return {inside}.document.querySelector('#about').textContent").count("500 steps of training") == 1
     assert view.run("return document.title") != "a stranger"
     assert all("Content Security Policy" in text for text in view.complaints()), "of the stranger alone"
     view.run(f"{inside}.document.getElementById('outside').click()")
