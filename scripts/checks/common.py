@@ -75,9 +75,8 @@ def write_pictures(pattern, raw, width, height, pixels):
 def has_changed(commit, folders):
     """Whether more than documents, includes and empty lines of the folders, which move no bit, differ from a commit's;
     true also of an unknown commit."""
-    words = ["git", "-C", ROOT, "diff", "--numstat", "-I", "^#include ", "--ignore-blank-lines", commit, "--", *folders,
-             ":(exclude)*.md"]
-    done = subprocess.run(words, capture_output=True, text=True)
+    done = subprocess.run(["git", "-C", ROOT, "diff", "--numstat", "-I", "^#include ", "--ignore-blank-lines", commit, "--",
+                           *folders, ":(exclude)*.md"], capture_output=True, text=True)
     return done.returncode != 0 or done.stdout != ""
 
 

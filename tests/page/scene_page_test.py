@@ -130,8 +130,7 @@ def look(driver, path, page):
         for (let i = 0; i < places.length && found.length < 60; i += 97) {
           const p = moved(clip, places[i]);
           if (Math.abs(p[0]) > 0.9 || Math.abs(p[1]) > 0.9) continue;
-          const x = (p[0] + 1) / 2 * canvas.clientWidth, y = (1 - p[1]) / 2 * canvas.clientHeight;
-          const read = semfield.read(x, y);
+          const x = (p[0] + 1) / 2 * canvas.clientWidth, y = (1 - p[1]) / 2 * canvas.clientHeight, read = semfield.read(x, y);
           if (read !== null && document.elementFromPoint(x, y) === canvas) found.push([i, read, moved(clip, read.place), p, [x, y]]);
         }
         return found;""", places)
@@ -139,8 +138,8 @@ def look(driver, path, page):
     assert len(near) >= 5, f"{len(near)} of {len(reads)} vertices are read where they are"
     for _, _, got, want, _ in reads:  # others are hidden by what lies before them, on the same ray
         assert math.hypot(got[0] - want[0], got[1] - want[1]) < 0.01, (got, want)
-    of_class = {label for label in labels if label != NO_CLASS}
-    assert all(read["label"] in of_class or read["label"] == len(facts["classes"]) for read, _ in near), near
+    of_class = {len(facts["classes"]), *labels} - {NO_CLASS}
+    assert all(read["label"] in of_class for read, _ in near), near
 
     # Two clicks measure; the third begins anew.
     (read, start), *_, (_, end) = near
