@@ -121,13 +121,12 @@ def lintian(files):
 # dpkg's books, and logs. The demo runs as a user without rights, in an empty folder, without a network: the shipped
 # files are only read. What is purged is all that came with the packages: autoremove would keep what a package of the
 # bare system suggests or takes as one of two (apt of Debian 13). A shell in the background ignores SIGINT, and so would
-# tests of Ctrl-C.
+# tests of Ctrl-C. Every installed Debian has /etc/hosts; where none is, netbase of Debian 13 makes one, which a purge leaves.
 FILES = r"find / -xdev \( " + " -o ".join(
     f"-path /{path}" for path in ("root home proc sys dev run tmp ccache var/tmp var/lib/apt var/lib/dpkg var/cache "
                                   "var/log").split()) + r" \) -prune -o -print | sort"
 PACKAGES = r"dpkg-query -W -f '${Package}\n' | sort"
 INSTALLED = [
-    # Every installed Debian has /etc/hosts; where it is missing, netbase of Debian 13 makes one that a purge leaves.
     ("apt-get update or useradd fails", "echo 127.0.0.1 localhost >>/etc/hosts && apt-get update && useradd -m guest"),
     ("the packages cannot be installed",
      f"{PACKAGES} >packages.before; {FILES} >out/before; {NO_QUESTIONS} ./in/*.deb"),
