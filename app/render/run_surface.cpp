@@ -113,14 +113,14 @@ Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage
            {"low", list_of(box.lo)},
            {"high", list_of(box.hi)},
            {"turn", turn_to_y(page.up)},
-           {"labels", surface.attributes.has_labels()},
+           {"labels", page.labels},
            {"entropy", most_entropy(surface)},
            {"classes", Json::array()},
            {"objects", Json::array()}};
   if (page.eye) out["eye"] = list_of(*page.eye);
   if (page.eye) out["ahead"] = list_of(page.ahead);
   if (page.objects) out["objects"] = page_objects(*page.objects, classes);
-  if (!surface.attributes.has_labels()) return out;
+  if (!page.labels) return out;
   for (const ClassEntry& entry : classes.entries())
     if (!entry.ignore) out["classes"].push_back({{"id", entry.id}, {"name", entry.name}, {"color", entry.color}});
   return out;
@@ -188,6 +188,7 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
   page.run = folder.filename().string();
   page.title = info.name.empty() ? page.run : info.name;
   page.step = step;
+  page.labels = session.pipeline->has_semantics();
   page.metric = info.metric;
   page.bounds = session.extent.bounds;
   if (!up) up = upright_of(session);

@@ -24,6 +24,7 @@ struct ScenePage {
   std::vector<std::string> about;  ///< lines on where the scene comes from
   std::string run;                 ///< name of its folder
   std::int64_t step = 0;
+  bool labels = false;       ///< the field has classes, even where no surface is made yet
   bool metric = true;        ///< distances are metres; else units of the input
   Vec3d up{0, 1, 0};         ///< unit vector of the world that is upright
   std::optional<Vec3d> eye;  ///< a place inside, world units; none: the scene is seen from outside alone

@@ -483,8 +483,10 @@ int run(const RenderOptions& options, AppContext& context) {
                  {"width_px", done.width_px},
                  {"height_px", done.height_px},
                  {done.what, done.where}},
-                fmt::format("render: frames={} size={}x{} s_per_frame={:.3f} {}={}", done.frames, done.width_px,
-                            done.height_px, done.s_per_frame, done.what, done.where));
+                fmt::format("Rendered {0} view{6} of {1} x {2} pixels in {3:.2g} s each, into {5}.\n"
+                            "render: frames={0} size={1}x{2} s_per_frame={3:.3f} {4}={5}",
+                            done.frames, done.width_px, done.height_px, done.s_per_frame, done.what, done.where,
+                            done.frames == 1 ? "" : "s"));
   print_next(context, next_of_run(options.run, false));
   return 0;
 }

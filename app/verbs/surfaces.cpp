@@ -528,6 +528,9 @@ int run(const MeshOptions& options, AppContext& context) {
   const std::size_t points = out.points().positions.size();
   Json told{{"run", options.run}, {"step", run.step}};
   std::string text = found.scores ? scores_table(*found.scores, s.scene.info.metric) : "";
+  if (wants_surface)
+    text += fmt::format("A surface of {} triangles in {} piece{} was found {}.\n", found.surface.triangles.size(),
+                        found.components, found.components == 1 ? "" : "s", found.described);
   text += "mesh:";
   if (wants_surface) {
     const std::size_t vertices = found.surface.positions.size(), faces = found.surface.triangles.size();

@@ -805,6 +805,7 @@ TEST(ScenePage, NamesOfAnySceneStayNames) {
   page.title = "/*mesh*/ <!--connect-->";
   page.about = {"/*mesh*/"};
   page.run = "/*style*/";
+  page.labels = true;
   const std::string text = scene_page_text(surface, ClassTable(entries), page);
   const nlohmann::json facts =
       nlohmann::json::parse(element(text, "<script type=\"application/json\" id=\"facts\">"), nullptr, false);

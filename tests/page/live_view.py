@@ -127,6 +127,8 @@ def look(driver, program, run):
         page = driver.browser(640, 360)
         page.open(view.told["url"])
         page.wait("document.body.dataset.state === 'ready'", "the page does not start", 60)
+        hidden = page.run("return [...document.querySelectorAll('#colors [hidden], #class-list[hidden]')].map(({id}) => id)")
+        assert hidden == [], f"there before the mesh is made: {hidden}"
         page.wait("document.body.dataset.mesh === 'fine'", "no fine mesh", 240)
         page.run("document.getElementById('inside').click()")
         page.wait("document.body.dataset.still === String(semfield.canvas.width)", "the field is not rendered", 240)
