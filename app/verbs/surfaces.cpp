@@ -574,9 +574,7 @@ struct ObjectsOptions : Options {
   const std::string& segments =
       value("--segments PATH",
             "segments of the training images: a folder of PNGs, JSON or NumPy masks, a COCO file, or clicks.jsonl "
-            "(default: the "
-            "scene's own "
-            "instances)");
+            "(default: the scene's own instances)");
   const std::string& pattern =
       value("--pattern NAME", "how files of that folder are named, with {name}, {stem} or {number} of the frame");
   const std::string& split =

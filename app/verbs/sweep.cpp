@@ -8,8 +8,8 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <regex>
 #include <set>
-#include <sstream>
 
 #include "app/child_process.h"
 #include "app/scene/inspect_report.h"
@@ -466,7 +466,6 @@ Verb verb_tune() {
 namespace {
 
 constexpr const char* kOwnFolder = "runs/demo";
-// Five minutes on two cores without AVX-512 are kept: what they buy stands in docs/evidence/performance.md.
 constexpr const char* kSettings[] = {"report.eval_share=0",  // figures of every test frame, on a slow machine too
                                      "report.eval_every_s=30", "report.eval_frames=3", "name=demo",
                                      "scene.width_px=320",     "scene.height_px=240"};
@@ -522,13 +521,9 @@ void clear_own_folder(const AppContext& context) {
 
 // The figures of train's last line that say what came out.
 std::string figures_of(const std::string& out) {
-  std::istringstream words(out.substr(out.rfind("train: ") == std::string::npos ? 0 : out.rfind("train: ") + 7));
-  std::vector<std::string> kept;
-  for (std::string word; words >> word;) {
-    if (!word.starts_with("steps=") && !word.starts_with("trained_s=") && !word.starts_with("peak_mb="))
-      kept.push_back(word);
-  }
-  return join(kept, " ");
+  const std::size_t at = out.rfind("train: ");
+  const std::regex others("(steps|trained_s|peak_mb)=\\S* |\\s+$");
+  return std::regex_replace(out.substr(at == std::string::npos ? 0 : at + 7), others, "");
 }
 
 // A held-out view to show to others: photograph and colour, labels over colour and depth. Of the views that the report

@@ -70,9 +70,8 @@ std::string outcome_text(const TrainOutcome& outcome, const std::vector<MetricsR
     text += " Measured on " + outcome.scored.text() + ".";
     if (const std::optional<Outlook> more = outlook(rows, outcome.train_s, *psnr_db))
       text += fmt::format(
-          "\nThat is too brief to show. By its own curve, {0} more bring about {1:.1f} dB:\n`semfield train --resume "
-          "{2} "
-          "--time {0}`",
+          "\nThat is too brief to show. By its own curve, {0} more bring about {1:.1f} dB:\n"
+          "`semfield train --resume {2} --time {0}`",
           more->more_s < 90 ? fmt::format("{:.0f}s", std::ceil(more->more_s))
                             : fmt::format("{:.0f}m", std::ceil(more->more_s / 60)),
           more->gain_db, shell_word(outcome.run_dir));

@@ -11,10 +11,6 @@ const kMostRatio = 2;                    // of pixels, each of which costs
 const kInside = window !== window.parent;  // of another page
 const kMark = '#ffd54a';                 // of points and what is measured
 const kFlights = {w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, -1, 0], e: [0, 1, 0]};
-const kTouches = [  // the help where there are no keys
-  ['Look', [['drag', 'turn'], ['pinch', 'come closer'], ['two fingers', 'move the picture']]],
-  ['Read', [['tap', 'what a point is, and where; its object'], ['second tap', 'how far it is from the first']]],
-];
 
 class ViewPage extends Page {
   /// isLive: a program is behind the page, and not a file that stands alone.
@@ -121,7 +117,8 @@ class ViewPage extends Page {
     this.flying = new Set();
     addEventListener('keyup', (event) => this.flying.delete(event.key.toLowerCase()));
     addEventListener('blur', () => this.flying.clear());
-    this.followKeys(this.keyTable(), kTouches);
+    this.followKeys(this.keyTable(), [['Look', [['drag', 'turn'], ['pinch', 'come closer'], ['two fingers', 'move the picture']]],
+      ['Read', [['tap', 'what a point is, and where; its object'], ['second tap', 'how far it is from the first']]]]);
   }
 
   keyTable() {
