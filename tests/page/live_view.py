@@ -162,8 +162,10 @@ def look(driver, program, run):
         lines = page.run("return semfield.pathText()").split("\n")[:-1]
         assert len(lines) == 49 and all(len(line.split()) == 12 for line in lines), len(lines)
         pathlib.Path(run).parent.joinpath("path.txt").write_text("\n".join(lines[:2]) + "\n")
-        page.size(390, 844)
-        page.wait("semfield.canvas.clientWidth === 390")
+        page.size(390, 844, is_phone=True)
+        page.reload()
+        page.wait("document.body.dataset.state === 'ready' && semfield.canvas.clientWidth === 390", seconds=60)
+        assert "pinch" in page.text("dialog"), "its help knows fingers"
         assert page.run("return document.documentElement.scrollWidth") <= 390
         assert page.complaints() == [], page.complaints()
     after = {file: file.stat().st_mtime_ns for file in before if file.exists()}
