@@ -54,7 +54,10 @@ class Pair:
 
 
 NEVER_SKIP = {"passes.0.sampler.skip": "never"}
-CERTIFIED = {"both": {**COARSE, "rendering.early_stop": 0, "rendering.density_bias": -9},
+# A branch leaves out samples of less than least_weight: one that crosses it moves logits by that much, whatever was skipped.
+EVERY_SAMPLE = {"passes.0.semantic": {"position": {"type": "frequency", "frequencies": 8},
+                                      "field": {"type": "tiny_mlp", "hidden_width": 128}, "least_weight": 0}}
+CERTIFIED = {"both": {**COARSE, **EVERY_SAMPLE, "rendering.early_stop": 0, "rendering.density_bias": -9},
              "out": {"passes.0.sampler.skip": "certified", "passes.0.sampler.skip_budget": 1e-3},
              "kept": NEVER_SKIP, "kept_by": "`passes.N.sampler.skip: never`", "bound": 1e-3}
 PAIRS = [
@@ -71,8 +74,7 @@ PAIRS = [
                "runtime.tile_rays": 32}),
     # Thick fog, in which every ray ends early, before it has learned to be air.
     Pair("late_samples", "late_samples", "rendering ends a ray whose transmittance is below `rendering.early_stop`",
-         "C",
-         "rendering", both={"rendering.early_stop": 1e-4, "rendering.density_bias": 20}, bound=1e-4, steps=5),
+         "C", "rendering", both={"rendering.early_stop": 1e-4, "rendering.density_bias": 20}, bound=1e-4, steps=5),
     Pair("late_samples_deep", "late_samples", "the same, stratified and importance samples", "C", "rendering",
          "quickstart_frequency", both={"rendering.early_stop": 1e-4, "rendering.density_bias": 6}, bound=1e-4),
     Pair("late_samples_room", "late_samples", "the same in the room as it is learned", "C", "rendering",
@@ -93,8 +95,7 @@ PAIRS = [
          kept={"passes.0.position.log2_entries": 19, "passes.0.position.finest_resolution": 512},
          kept_by="numbers in `passes.N.position`"),
     Pair("untouched_rows", "untouched_rows", "a table's row is updated in the steps that give it a gradient", "B",
-         "rows",
-         kept={}, kept_by="Adam's rule for tables"),
+         "rows", kept={}, kept_by="Adam's rule for tables"),
     Pair("view_branch", "view_branch", "training rays within 5 degrees of each other", "S", "quality",
          out={"passes.0.direction": None}, kept={},
          but="a scene seen from several sides keeps it: its direction part is computed once per ray already"),
@@ -109,8 +110,7 @@ PAIRS = [
     Pair("training_depth", "training_depth", "depth of training frames gives the bounds and is then dropped", "B",
          "training"),
     Pair("instances", "", "instances are kept for `semfield objects`, and for label steps that read them", "B",
-         "training",
-         both={"scene.instances": "pieces", "scene.labels.frames": "all"},
+         "training", both={"scene.instances": "pieces", "scene.labels.frames": "all"},
          kept={"scene.labels.degrade": [{"type": "region_noise", "ratio": 0, "min_frames": 1}]},
          kept_by="ask for one of them"),
     Pair("periodic_evaluation", "periodic_evaluation", "`report.eval_every_s` is 0", "B", "evaluation", kept={},
