@@ -54,10 +54,9 @@ class Pair:
 
 
 NEVER_SKIP = {"passes.0.sampler.skip": "never"}
-# A branch leaves out samples of less than least_weight: one that crosses it moves logits by that much, whatever was skipped.
-EVERY_SAMPLE = {"passes.0.semantic": {"position": {"type": "frequency", "frequencies": 8},
-                                      "field": {"type": "tiny_mlp", "hidden_width": 128}, "least_weight": 0}}
-CERTIFIED = {"both": {**COARSE, **EVERY_SAMPLE, "rendering.early_stop": 0, "rendering.density_bias": -9},
+# The branch keeps every sample: one whose weight crosses least_weight would move logits, whatever was skipped.
+CERTIFIED = {"both": {**COARSE, "passes.0.semantic.3.least_weight": 0, "rendering.early_stop": 0,
+                      "rendering.density_bias": -9},
              "out": {"passes.0.sampler.skip": "certified", "passes.0.sampler.skip_budget": 1e-3},
              "kept": NEVER_SKIP, "kept_by": "`passes.N.sampler.skip: never`", "bound": 1e-3}
 PAIRS = [

@@ -22,7 +22,7 @@ class Demo(ProgramCase):
         for made in ("first_look.png", "report.html", "mesh.ply", "mesh.glb", "render/test"):
             self.assertTrue((self.run_dir / made).exists(), made)
         self.assertEqual(struct.unpack(">II", (self.run_dir / "first_look.png").read_bytes()[16:24]), (84, 64))
-        self.has(r.err, "Look at runs/demo/first_look.png first", " eval runs/demo ")
+        self.has(r.err, "Look at runs/demo/first_look.png first", " eval runs/demo ", "Rendered ", "A surface of ")
         # The next one takes the place of its own run alone, and only when its words are right.
         before = (self.run_dir / "run.yaml").read_text()
         for words in ("--steps x", "--time x"):
