@@ -467,9 +467,9 @@ namespace {
 
 constexpr const char* kOwnFolder = "runs/demo";
 constexpr const char* kSettings[] = {"report.eval_share=0",  // figures of every test frame, on a slow machine too
-                                     "report.eval_every_s=30", "report.eval_frames=3", "name=demo",
-                                     "scene.width_px=320",     "scene.height_px=240"};
-constexpr const char* kSteps = "5000";
+                                     "report.eval_every_s=45", "report.eval_frames=3", "name=demo",
+                                     "scene.width_px=320",     "scene.height_px=240",  "scene.test_frames=20"};
+constexpr const char* kSteps = "4500";
 
 struct DemoOptions : Options {
   explicit DemoOptions(const Declaration& at) : Options(at) { threads(set); }
