@@ -48,7 +48,7 @@ def labelling(folder):
 
 def things(folder):
     out = run("configs/quickstart.yaml", "--ignore", "wall,floor,ceiling", "--things", 3, "--pixels", 20, "--geometry", 1,
-              *SMALL, "--set", "scene.instances=pieces", "--set", "runtime.device=cpu")
+              *SMALL, "--set", "scene.instances=pieces", "--set", "runtime.device=cpu", "--set", "train.steps=300")
     assert "things: things=3 iou1=" in out, out
 
 

@@ -167,7 +167,8 @@ class Examples(WordsCase):
         shutil.copytree(self.dir / "runs/my_photos", self.dir / "runs/my_clicks")
         self.write("my_sweep.yaml", "name: tried\nbase: configs/my_photos.yaml\ngrid: {train.rays: [64, 128]}\n")
         short = [(r"--time \S+", "--steps 20"), ("^train configs/my_photos.yaml", r"\g<0> --out runs/second"),
-                 ("^init .*", r"\g<0> --replace"), ("smooth", "smooth --frames 9")]
+                 ("^init .*", r"\g<0> --replace"), ("smooth", "smooth --frames 9"),
+                 (r"^tune \S+ --steps 20", r"\g<0> --dry-run")]  # tests/tune runs one
         for verb in self.verbs():
             with self.subTest(verb):
                 for words in re.match(r"  semfield (.*)\n  semfield (.*)\n\n", self.ok(f"help {verb}").out).groups():
@@ -345,8 +346,7 @@ class Names(ProgramCase):
             self.assertGreater(sum(key.startswith(("passes.main.", "passes.coarse.")) for key in keys), 5)
             self.assertEqual([key for key in keys if re.match(r"passes\.[0-9]", key)], [])
             after = self.explained(name, [f"{setting['key']}={setting['value']}" for setting in before])
-            self.assertEqual([(one["key"], one["value"]) for one in after], [(one["key"],
-                                                                              one["value"]) for one in before])
+            self.assertEqual(*([(one["key"], one["value"]) for one in settings] for settings in (after, before)))
             for one in after:
                 self.assertTrue(one["from"].startswith(f"--set {one['key']}"), one)
 

@@ -30,7 +30,7 @@ class Paster:
             return
         self.pasted.add(command)
         verb = command.split()[1]
-        short = re.sub(r"(--time )[0-9.]+[mh]\b", r"\g<1>2s", command) + (" --time 2s" if verb == "tune" else "")
+        short = re.sub(r"(--time )[0-9.]+[mh]\b", r"\g<1>2s", command) + {"tune": " --time 2s", "mesh": " --resolution 64"}.get(verb, "")
         code, said = self.scratch.serve(short, SHOWN_S) if verb in ("serve", "view") else self.scratch.run(short)
         if code != 0:
             self.faults.append(f"`{command}` ends with {code}:\n{said[-2000:]}")
