@@ -204,7 +204,7 @@ std::string report_data(const std::string& html) {
 std::string lasting(const std::string& path, const std::string& folder) {
   const std::string text = read_text_file(path), ending = fs::path(path).extension();
   if (ending != ".json" && ending != ".yaml" && ending != ".jsonl" && ending != ".html") return text;
-  std::string here = replaced(text, R"re("[^"]{0,99}; of docs/reference/leave_out)re", "\"");
+  std::string here = replaced(text, R"re("[^"]{0,99}; of docs/reference/leave_out.md)re", "\"");
   for (std::size_t at = here.find(folder); at != std::string::npos; at = here.find(folder))
     here.replace(at, folder.size(), "DIR");
   if (ending == ".html") return report_data(here);
