@@ -168,7 +168,7 @@ class Examples(WordsCase):
         self.write("my_sweep.yaml", "name: tried\nbase: configs/my_photos.yaml\ngrid: {train.rays: [64, 128]}\n")
         short = [(r"--time \S+", "--steps 20"), ("^train configs/my_photos.yaml", r"\g<0> --out runs/second"),
                  ("^init .*", r"\g<0> --replace"), ("smooth", "smooth --frames 9"),
-                 (r"^tune \S+ --steps 20", r"\g<0> --dry-run")]  # tests/tune runs one
+                 (r"^tune \S+ --steps 20", r"\g<0> --dry-run")]  # tests/sweep runs one
         for verb in self.verbs():
             with self.subTest(verb):
                 for words in re.match(r"  semfield (.*)\n  semfield (.*)\n\n", self.ok(f"help {verb}").out).groups():

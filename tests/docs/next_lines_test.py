@@ -1,5 +1,5 @@
-"""Pastes what verbs say is next: next_lines_test.py --program FILE --scenes FOLDER. Every line has to end with exit code 0 as it stands, in
-the order printed, and those of `init` in the other order too; what such a command says is next is pasted as well, once."""
+"""Pastes what verbs say is next: next_lines_test.py --program FILE --scenes FOLDER. Every line has to end with exit code 0, with
+shorter times and coarser meshes, in the order printed, and those of `init` in the other order too; what such a command says is next as well, once."""
 import argparse
 import os
 import re
